@@ -346,6 +346,18 @@ def _pair(item: Role | str | tuple[Role, int]) -> tuple[Role, int]:
     return role, ROLES[role].channels
 
 
+class StoredRows(NamedTuple):
+    """Parts of a file as they were unpacked, for whoever writes channels of them again.
+
+    Attributes:
+        identity: what tells the file from others, and from what it may become.
+        parts: index of a part -> words of its rows, (height, words) uint16.
+    """
+
+    identity: tuple[int, ...]
+    parts: Mapping[int, np.ndarray]
+
+
 @dataclass(frozen=True)
 class ColourSource:
     """Where a frame's colour is in the file that it was read from.
@@ -358,6 +370,7 @@ class ColourSource:
             the layers beside the one that was read included.
         pixels: part and name of channels whose values are distances in pixels -> their axis, 0
             across and 1 down.
+        rows: of the file, as they were unpacked; None where nobody asked for them.
     """
 
     part: int
@@ -365,6 +378,7 @@ class ColourSource:
     attributes: Mapping[str, Any]
     renders: frozenset[tuple[int, str]] = frozenset()
     pixels: Mapping[tuple[int, str], int] = field(default_factory=dict)
+    rows: StoredRows | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True)

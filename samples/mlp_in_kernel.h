@@ -21,8 +21,7 @@ template <class F> FN void shade(const float* albedo, const F (&light)[3], float
 static void shade_by_network(Long first, Long last, View<const float, 1> parameters,
                              Picture normal, Picture albedo, NewPicture shaded) {
     for (Long y = first; y < last; y++) {
-        across(0, shaded.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, shaded.size[1], EACH(F, Long x) {
             F features[5], light[3];
             features_of<F>(normal, x, y, features);
             mlp<GELU, 5, 32, 32, 3>(parameters.at, features, light);
@@ -34,8 +33,7 @@ EXPORT(shade_by_network, shade_by_network)
 
 static void features_of_pixels(Long first, Long last, Picture normal, NewPicture points) {
     for (Long y = first; y < last; y++) {
-        across(0, points.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, points.size[1], EACH(F, Long x) {
             F features[5];
             features_of<F>(normal, x, y, features);
             for (int k = 0; k < 5; k++) spread<5, F>(points(y, x) + k, features[k]);
@@ -47,8 +45,7 @@ EXPORT(features_of_pixels, features_of_pixels)
 static void shade_by_values(Long first, Long last, Picture albedo, Picture values,
                             NewPicture shaded) {
     for (Long y = first; y < last; y++) {
-        across(0, shaded.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, shaded.size[1], EACH(F, Long x) {
             F light[3];
             for (int c = 0; c < 3; c++) light[c] = pick<F, 3>(values(y, x) + c);
             shade<F>(albedo(y, x), light, shaded(y, x));

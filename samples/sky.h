@@ -58,8 +58,7 @@ template <class F> FN Light<F> radiance(const Sky& sky, F x, F y, F z) {
 // log(1 + colour) of the sky.
 static void sky_rows(Long first, Long last, Given<Sky> sky, View<const float, 2> directions,
                      View<float, 2> logs) {
-    across(first, last, PIXELS(auto one, Long p) {
-        typedef decltype(one) F;
+    across(first, last, EACH(F, Long p) {
         const float* at = directions(p);
         const Light<F> found =
             radiance<F>(*sky, pick<F, 3>(at), pick<F, 3>(at + 1), pick<F, 3>(at + 2));

@@ -134,7 +134,7 @@ PORTABLE_FAMILIES = {"denoise.py": "denoiser", "extras.py": "denoiser", "parts.p
                      "partner.py": "colour and pictures", "tonemap.py": "colour and pictures"}
 """Files of portable definitions and their families."""
 KERNEL_FORMS = {".h": "pixels", ".cpp": "CPU", ".cuh": "CUDA", ".cu": "CUDA", ".py": "PyTorch"}
-_CUDA_DEFINITION = re.compile(r"^(?:__device__ inline .*?(\w+)\("
+_CUDA_DEFINITION = re.compile(r"^(?:FN .*?(\w+)\("
                               r"|struct (?:alignas\(\d+\) )?(\w+) \{)")
 _CPU_DEFINITION = re.compile(r"\bstruct (\w+)|\b(\w+)\(")
 

@@ -41,6 +41,7 @@ from postfx.cli.summary import (
     FrameResult,
     Preparation,
     Report,
+    describe_between,
     describe_frames,
     describe_outputs,
     describe_preroll,
@@ -81,7 +82,7 @@ from postfx.passes.registry import create, insert_passes, parse_pass
 from postfx.pipeline import Pipeline
 from postfx.plan import Skip, from_files
 from postfx.runs.run import Options, Run, provenance_of
-from postfx.runs.schedule import Work, find_preroll
+from postfx.runs.schedule import Work, fill_gaps, find_preroll
 from postfx.runtime import Device
 from postfx.temporal.plain_albedo import is_plain
 from postfx.temporal.reverse_order import Backwards
@@ -298,10 +299,14 @@ class Job:
         """What would run."""
         exposure = self._exposure if self._exposure.multipliers else self._exposure_of_first()
         preroll = Options(**self._values("run")).preroll
-        before = (find_preroll(self.sequence, self.first, preroll)
-                  if self.pipeline.remembers(self.plan) else [])
+        before, between = [], []
+        if self.pipeline.remembers(self.plan):
+            before = find_preroll(self.sequence, self.first, preroll)
+            listed = self.sequence.numbers
+            between = [number for number in fill_gaps(self.sequence, listed, preroll)
+                       if number not in listed]
         return Explanation(self.plan, self.sequence, self.first, self.skips, self._run_up, exposure,
-                           before)
+                           before, between)
 
     def _exposure_of_first(self) -> ExposureUsed:
         """What --exposure says of the first frame, by its colour alone."""
@@ -347,7 +352,7 @@ class Job:
                 self._announce(run, progress)
                 if run.works:
                     self._prepare()
-                begin = progress.start(len(run.skips))
+                begin = progress.start(len(run.skips), self._count_unwritten(run.works))
                 self._process_all(run, stop, progress)
         finally:
             if self._viewer:
@@ -450,10 +455,15 @@ class Job:
             for line in str(self.plan).splitlines():
                 progress.note(line)
         wanted = [work.number for work in run.works if work.write]
-        before = [work.number for work in run.works if work.number not in self.sequence.numbers]
+        listed = self.sequence.numbers
+        others = [work.number for work in run.works if work.number not in listed]
+        before = [number for number in others if number < listed[0]]
+        between = [number for number in others if number > listed[0]]
         if before:
-            progress.note(f"{describe_preroll(before)} for the history of frame "
-                          f"{self.sequence.numbers[0]} (--preroll 0 leaves it out)")
+            progress.note(f"{describe_preroll(before)} for the history of frame {listed[0]} "
+                          "(--preroll 0 leaves it out)")
+        if between:
+            progress.note(describe_between(between))
         if self._arguments.on_error == OnError.STOP:
             self.sequence.refuse_holes(wanted)
         elif missing := [number for number in wanted if not self.sequence.holds(number)]:
@@ -489,6 +499,17 @@ class Job:
             write_frame(Path(folder) / f"any{self._files().path(self.first).suffix}", frame,
                         **self._format)
 
+    def _count_unwritten(self, works: list[Work]) -> int:
+        """Frames that run and are not written, as far as they are known before the first one: in a
+        run-up, for the history, and in reverse order."""
+        ran = [work for work in works if not work.checkpoint]
+        count = sum(not work.write for work in ran)
+        if works and self._run_up and not works[0].checkpoint and self.plan.accumulating_steps():
+            count += len(self._run_up.after(works[0].number)) * (1 + len(self.sequence.views))
+        if self._backwards:
+            count += self._backwards.count([work.number for work in ran if work.write])
+        return count
+
     def _process_all(self, run: Run, stop: Stop, progress: FrameProgress) -> None:
         """Process a run's frames in order: they are read ahead, and written behind."""
         if self._run_up:
@@ -519,7 +540,7 @@ class Job:
                         frame = self._faults.attempt(work.number, work.write, ahead)
                         is_unseen = frame is None
                 with capturing(work.number):
-                    done = None if frame is None else self._process(work, frame, progress.note)
+                    done = None if frame is None else self._process(work, frame, progress)
                 if done is None and work.write:
                     done = self._faults.substitute(work.number)
                 if work.write and done:
@@ -605,7 +626,11 @@ class Job:
         part = backwards.part(frame.number) if write else None
         if part and part[0] != part[1]:
             progress.note(f"frames {part[1]} to {part[0]} first, in reverse order")  # may take long
-        return backwards(frame, write, stop.check)
+        begin = time.perf_counter()
+        found = backwards(frame, write, stop.check)
+        if part:
+            progress.pass_by(backwards.count([frame.number]), time.perf_counter() - begin)
+        return found
 
     def _read(self, run: Run, work: Work) -> Frame | None:
         read = partial(self._read_checked, run, work.number)
@@ -617,13 +642,22 @@ class Job:
             self._warnings.append(f"the history begins after frame {work.number}: {error}")
             return None
 
+    @cached_property
+    def _holds_rows(self) -> bool:
+        """Whether frames hold what was unpacked of their files: where outputs keep channels of them
+        bit for bit, and nothing limits memory or keeps frames for longer."""
+        sizes = [(spec.width, spec.height) for spec in (self.plan.available, self.plan.output)]
+        keeps = (self.outputs is not None and not self.outputs.display
+                 and self._format["keep"] is not False and sizes[0] == sizes[1])
+        return keeps and not (self.pipeline.device.scratch or self._page)
+
     def _read_checked(self, run: Run, number: int) -> Frame:
-        read = partial(self.sequence.read, number, self.plan.planes, self._guides)
+        read = partial(self.sequence.read, number, self.plan.planes, self._guides, self._holds_rows)
         frame = read_patiently(read, partial(run.note_retry, number))
         check_sizes(frame, self.plan.input, bool(self._arguments.size))
         return frame
 
-    def _process(self, work: Work, frame: Frame, tell: Callable[[str], None]) -> FrameResult | None:
+    def _process(self, work: Work, frame: Frame, progress: FrameProgress) -> FrameResult | None:
         """A frame after the passes; None if they failed and the run goes on."""
         begin, passes, compiling = time.perf_counter(), self.pipeline, self._watch.seconds
         result = self._faults.attempt(work.number, work.write, partial(passes, frame))
@@ -633,9 +667,12 @@ class Job:
         if passes.cut:
             self._cuts.append(work.number)
         for text in passes.noticed:
-            self._tell([f"frame {work.number}: {text}"], tell)
+            self._tell([f"frame {work.number}: {text}"], progress.note)
         milliseconds = (time.perf_counter() - begin - (self._watch.seconds - compiling)) * 1000
         milliseconds -= passes.run_up_ms
+        progress.pass_by(len(passes.ahead), passes.run_up_ms / 1000)
+        if not work.write:
+            progress.pass_by(1, milliseconds / 1000)
         if self._backwards:
             milliseconds += self._backwards.milliseconds or 0.0
         done = FrameResult(frame, result, passes.exposure_factor, passes.cut, milliseconds,

@@ -371,6 +371,9 @@ class Parser(argparse.ArgumentParser):
         choice = re.search(r"argument COMMAND: invalid choice: '([^']*)'", message)
         if choice:
             message = f"there is no command '{choice[1]}'{self._suggest_verb(choice[1])}"
+        option = re.fullmatch(r"argument (\S*?/)?(--[\w-]+): expected one argument", message)
+        if option:  # as for --frames -10-20, which looks like an option
+            message += f"; a value that begins with a dash is given as {option[2]}=VALUE"
         help = "--help-all" if any(option.basic for option in self.declared or ()) else "--help"
         self.exit(2, f"error: {message} ('{self.prog} {help}' shows all)\n")
 

@@ -80,9 +80,8 @@ FRAME_SECTION = Section("frames", (
            help="albedo, normal, roughness or depth at output size, in files numbered like INPUT"),
     Option(flag="--preroll", once=True, metavar="N|auto", type=_parse_preroll, off=0,
            sets="run.preroll", changes="nothing",
-           help="frames before the range to process without writing them, so that its first frame "
-           "has a history: a number, 0 for none, or auto for those of its shot, at most 96 "
-           "(default)"),
+           help="frames before the range, and in its gaps, to run without writing them, for the "
+           "history: a number, 0 for none, or auto for those of the shot, at most 96 (default)"),
     Option(flag="--on-error", choices=("stop", "skip", "copy"), default="stop", changes="nothing",
            help="when a frame cannot be read or processed: stop ends the run (default), skip "
            "writes no file for it, copy writes it enlarged but not denoised. After skip or copy "
@@ -429,8 +428,9 @@ def make_run_up(arguments: argparse.Namespace, sequence: Sequence, cuts: str) ->
 
     option = RUN["--run-up"]
     frames = RUN_UP if arguments.run_up is None else arguments.run_up
-    return (RunUp(sequence, frames, cuts) if frames and not RUN.exclusions(option, arguments)
-            else None)
+    if not frames or RUN.exclusions(option, arguments):
+        return None
+    return RunUp(sequence, frames, cuts, over_gaps=arguments.preroll != 0)
 
 
 def refuse_views(sequence: Sequence, outputs: OutputFiles | None) -> None:

@@ -238,6 +238,7 @@ class SamplesJob:
         error."""
         from postfx.errors import FrameError, MissingPlaneError
         from postfx.frame import Role
+        from postfx.other_shots import is_other_picture, squares_of
         from postfx.repeats import is_same_render
         from postfx.tools.adaptive.estimate import estimate_error, estimate_from_halves, mean_frame
 
@@ -260,6 +261,10 @@ class SamplesJob:
                 if is_same_render(*halves):
                     raise FrameError(f"{renders[1].source}: has the same noise as "
                                      f"{frame.source}: render it with another seed")
+                if is_other_picture(*map(squares_of, halves)):
+                    raise FrameError(f"{renders[1].source}: shows another picture than "
+                                     f"{frame.source}: give the same shot, rendered with another "
+                                     "seed")
                 error = estimate_from_halves(halves, (denoised[0], denoised[1], denoised[2]),
                                              self._meter(frame), self._arguments.tile)
                 self.sources.add("two halves of the samples")

@@ -46,6 +46,7 @@ class Explanation:
         run_up: what runs before the first frame of a shot.
         exposure: of that frame, or the mode alone where all frames have to be metered.
         before: frames that run before that one, for its history.
+        between: frames that run between those that are asked for, for theirs.
     """
 
     plan: Plan
@@ -55,6 +56,7 @@ class Explanation:
     run_up: RunUp | None
     exposure: ExposureUsed
     before: list[int]
+    between: list[int]
 
     def as_dict(self) -> dict[str, Any]:
         """In plain types."""
@@ -81,6 +83,8 @@ class Explanation:
         if self.before:
             lines.append(f"history {describe_preroll(self.before)} for frame {first} (--preroll 0 "
                          "leaves it out)")
+        if self.between:
+            lines.append(f"history {describe_between(self.between)}")
         if ahead := self._list_ahead():
             listed = f"frame{'s' * (len(ahead) > 1)} {', '.join(map(str, ahead))}"
             lines.append(f"run-up  of each shot: {listed} before frame {self._begin} (--run-up 0 "
@@ -117,6 +121,13 @@ def describe_preroll(numbers: list[int]) -> str:
             else f"frames {first} to {last} first, unwritten,")
 
 
+def describe_between(numbers: list[int]) -> str:
+    """Which frames run between those of a range with gaps."""
+    run = (f"frame {numbers[0]} runs" if len(numbers) == 1
+           else f"frames {format_frames(numbers)} run")
+    return f"{run}, too, unwritten, for the history of later ones (--preroll 0 leaves that out)"
+
+
 def describe_sizes(plan: Plan, sequence: Sequence) -> str:
     """Size of the input, and of the output as its display window has it."""
     render, output = plan.available, sequence.shown_size(plan.output.width, plan.output.height)
@@ -150,6 +161,7 @@ class FrameProgress:
     def __init__(self, total: int, quiet: bool = False) -> None:
         self._console = Console(file=styled(sys.stderr), markup=False, emoji=False, quiet=quiet)
         self._total, self._done, self._fresh = total, 0, 0
+        self._others, self._run_others, self._other_seconds = 0, 0, 0.0
         self._begin = time.perf_counter()
         self._told: float | None = None
         self._bar = Progress(
@@ -184,23 +196,39 @@ class FrameProgress:
             self.note(f"{text}: file {count + 1}" if count else text)
             self._told = now
 
-    def start(self, done: int) -> float:
-        """Start the clock, `done` frames needing no work; the time on it."""
+    def start(self, done: int, others: int = 0) -> float:
+        """Start the clock, `done` frames needing no work, and `others` running without being
+        written; the time on it."""
         self._done += done
+        self._others = others
         self._bar.update(self._task, advance=done, description="frames")
         self._begin = time.perf_counter()
         return self._begin
+
+    def pass_by(self, frames: int, seconds: float) -> None:
+        """Note frames that ran without being written: those of a run-up take another time than
+        others."""
+        self._run_others += frames
+        self._other_seconds += seconds
 
     def advance(self, path: str, apart: float = 0.0) -> None:
         """Count a frame that was written to `path`; `apart` seconds since the start do not count,
         as of compiling."""
         self._done, self._fresh = self._done + 1, self._fresh + 1
-        speed = self._fresh / (time.perf_counter() - self._begin - apart)
-        rate = f"{speed:.2f} frames/s"
-        left = timedelta(seconds=round((self._total - self._done) / speed))
-        self._bar.update(self._task, advance=1, rate=f"{rate}, {left} left")
+        elapsed = time.perf_counter() - self._begin - apart
+        rate = f"{self._fresh / elapsed:.2f} frames/s"
+        if self._done < self._total:
+            rate += f", {timedelta(seconds=round(self._seconds_left(elapsed)))} left"
+        self._bar.update(self._task, advance=1, rate=rate)
         if not self._console.is_terminal:
             self.note(f"{self._done}/{self._total} {path} ({rate})")
+
+    def _seconds_left(self, elapsed: float) -> float:
+        """Time that the frames to come take, if each takes as long as those of its kind did."""
+        own = max(0.0, elapsed - self._other_seconds) / self._fresh
+        other = self._other_seconds / max(1, self._run_others)
+        return ((self._total - self._done) * own
+                + max(0, self._others - self._run_others) * other)
 
 
 _HOW = {"auto": "metered", "smooth": "metered on the whole sequence", "lit": "as it was lit",

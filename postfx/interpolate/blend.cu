@@ -1,25 +1,13 @@
 // The picture that the paths make, as blend.py makes it. Pictures and their depth are held as
 // (h, w, 4), cells are (rows, columns, 8).
 
-// The cells before and after a pixel's middle, and how far it is from the first to the second one.
-struct Between {
-    int first, second;
-    float share;
-};
-
-__device__ inline Between between_cells(int position, float size, int count) {
-    const float at = fminf(fmaxf((position + 0.5f) * size - 0.5f, 0.0f), float(count - 1));
-    const int first = int(at);
-    return {first, min(first + 1, count - 1), at - first};
-}
-
 // A path, and how sharp the pictures are there.
 struct Led {
     Path path;
     float sharp;
 };
 
-__device__ inline Led cell_of(const View& cells, int cell) {
+FN Led cell_of(const View& cells, int cell) {
     return {path_of(cells, cell), cells.at[8 * size_t(cell) + 6]};
 }
 
@@ -29,7 +17,7 @@ struct Corner {
     float down, across;
 };
 
-__device__ inline Corner corner_of(float y, float x, int h, int w) {
+FN Corner corner_of(float y, float x, int h, int w) {
     y = fminf(fmaxf(y, 0.0f), float(h - 1));
     x = fminf(fmaxf(x, 0.0f), float(w - 1));
     const int j = int(y), i = int(x);
@@ -38,7 +26,7 @@ __device__ inline Corner corner_of(float y, float x, int h, int w) {
 
 // Weights of four taps around a place after the second one: cubics where sharp is 1, B-splines
 // where it is 0.
-__device__ inline Four taps_at(float t, float sharp) {
+FN Four taps_at(float t, float sharp) {
     const float k = 1.0f - sharp;
     const float squares_soft[4] = {0.5f, -1.0f, 0.5f, 0.0f},
                 squares[4] = {1.0f, -2.5f, 2.0f, -0.5f};
@@ -48,8 +36,7 @@ __device__ inline Four taps_at(float t, float sharp) {
                 ones[4] = {0.0f, 1.0f, 0.0f, 0.0f};
     const float first[4] = {-0.5f, 0.0f, 0.5f, 0.0f};
     float found[4];
-#pragma unroll
-    for (int i = 0; i < 4; i++)
+    UNROLL for (int i = 0; i < 4; i++)
         found[i] =
             (((k * cubes_soft[i] + sharp * cubes[i]) * t + k * squares_soft[i] + sharp * squares[i])
                  * t
@@ -59,20 +46,20 @@ __device__ inline Four taps_at(float t, float sharp) {
     return {found[0], found[1], found[2], found[3]};
 }
 
-__device__ inline Colour plus(const Colour& sum, float weight, const Four& of) {
+FN Colour plus(const Colour& sum, float weight, const Four& of) {
     return {sum.r + weight * of.x, sum.g + weight * of.y, sum.b + weight * of.z};
 }
 
-__device__ inline Colour least(const Colour& one, const Four& other) {
+FN Colour least(const Colour& one, const Four& other) {
     return {fminf(one.r, other.x), fminf(one.g, other.y), fminf(one.b, other.z)};
 }
 
-__device__ inline Colour most(const Colour& one, const Four& other) {
+FN Colour most(const Colour& one, const Four& other) {
     return {fmaxf(one.r, other.x), fmaxf(one.g, other.y), fmaxf(one.b, other.z)};
 }
 
 // A picture at a place, within the range of the four pixels around it.
-__device__ inline Colour colour_at(const View& picture, float y, float x, float sharp) {
+FN Colour colour_at(const View& picture, float y, float x, float sharp) {
     const int h = picture.size[0], w = picture.size[1];
     const Corner at = corner_of(y, x, h, w);
     const Four down = taps_at(at.down, sharp), across = taps_at(at.across, sharp);
@@ -80,8 +67,7 @@ __device__ inline Colour colour_at(const View& picture, float y, float x, float 
     const int columns[4] = {max(at.i - 1, 0), at.i, min(at.i + 1, w - 1), min(at.i + 2, w - 1)};
     Colour sum = {0.0f, 0.0f, 0.0f}, low = {LARGEST_FLOAT, LARGEST_FLOAT, LARGEST_FLOAT};
     Colour high = {-LARGEST_FLOAT, -LARGEST_FLOAT, -LARGEST_FLOAT};
-#pragma unroll
-    for (int b = 0; b < 4; b++) {
+    UNROLL for (int b = 0; b < 4; b++) {
         const size_t row = size_t(clip(at.j - 1 + b, h)) * w;
         const Four q = four(picture, row + columns[1]), r = four(picture, row + columns[2]);
         Colour line = plus({0.0f, 0.0f, 0.0f}, across.x, four(picture, row + columns[0]));
@@ -99,7 +85,7 @@ __device__ inline Colour colour_at(const View& picture, float y, float x, float 
 }
 
 // Weights of the two frames for a path of a pixel, 1 together, by whether they show its point.
-__device__ inline Pair weights_of(const Path& path, int h, int w, int y, int x, float t) {
+FN Pair weights_of(const Path& path, int h, int w, int y, int x, float t) {
     const float first = is_inside(h, w, y + path.ay, x + path.ax) ? path.first : 0.0f;
     const float last = is_inside(h, w, y + path.by, x + path.bx) ? path.last : 0.0f;
     const float one = (1.0f - t) * (first + LEAST), other = t * (last + LEAST);
@@ -108,9 +94,7 @@ __device__ inline Pair weights_of(const Path& path, int h, int w, int y, int x, 
     return {share, 1.0f - share};
 }
 
-__device__ inline float depth_of(const View& picture, size_t pixel) {
-    return picture.at[4 * pixel + 3];
-}
+FN float depth_of(const View& picture, size_t pixel) { return picture.at[4 * pixel + 3]; }
 
 // Depth of the surface that a path shows at a pixel, 0 where it leads to another one, and whether
 // both frames show it.
@@ -119,8 +103,7 @@ struct Surface {
     bool is_shown;
 };
 
-__device__ inline Surface surface_of(const View& before, const View& after, const Path& path, int y,
-                                     int x) {
+FN Surface surface_of(const View& before, const View& after, const Path& path, int y, int x) {
     const int h = before.size[0], w = before.size[1];
     const Corner a = corner_of(y + 0.5f + path.ay, x + 0.5f + path.ax, h, w);
     const Corner b = corner_of(y + 0.5f + path.by, x + 0.5f + path.bx, h, w);
@@ -133,19 +116,16 @@ __device__ inline Surface surface_of(const View& before, const View& after, cons
 
 // Shares of four cells in a pixel, by its place between them; of cells that follow one path one has
 // it all.
-__device__ inline void share_cells(const View& cells, const int (&places)[4], float across,
-                                   float down, float (&shares)[4]) {
+FN void share_cells(const View& cells, const int (&places)[4], float across, float down,
+                    float (&shares)[4]) {
     Path paths[4];
-#pragma unroll
-    for (int k = 0; k < 4; k++) {
+    UNROLL for (int k = 0; k < 4; k++) {
         shares[k] = (k / 2 ? down : 1.0f - down) * (k % 2 ? across : 1.0f - across);
         paths[k] = path_of(cells, places[k]);
     }
-#pragma unroll
-    for (int k = 1; k < 4; k++) {
+    UNROLL for (int k = 1; k < 4; k++) {
         bool is_given = false;
-#pragma unroll
-        for (int j = 0; j < k; j++) {
+        UNROLL for (int j = 0; j < k; j++) {
             if (is_given || !(shares[j] > 0.0f) || differ(paths[k], paths[j], OTHER)
                 || paths[k].first != paths[j].first || paths[k].last != paths[j].last)
                 continue;
@@ -162,8 +142,7 @@ struct Shown {
     Pair weights;
 };
 
-__device__ inline Shown shown_by(const Led& led, const View& before, const View& after, int y,
-                                 int x, float t) {
+FN Shown shown_by(const Led& led, const View& before, const View& after, int y, int x, float t) {
     const Path& path = led.path;
     Shown found = {{0.0f, 0.0f, 0.0f},
                    {0.0f, 0.0f, 0.0f},
@@ -176,7 +155,7 @@ __device__ inline Shown shown_by(const Led& led, const View& before, const View&
 
 // Their mean: the nearer frame's alone where light differs that much that it is something else,
 // such as a spark.
-__device__ inline Colour settled(const Shown& by, float dim) {
+FN Colour settled(const Shown& by, float dim) {
     const float first = by.before.r + by.before.g + by.before.b,
                 last = by.after.r + by.after.g + by.after.b;
     Pair weights = by.weights;
@@ -201,10 +180,11 @@ struct Around {
     float down, across;
 };
 
-__device__ inline Around around_of(const View& cells, float scale, int y, int x) {
+FN Around around_of(const View& cells, float scale, int y, int x) {
     const int rows = cells.size[0], columns = cells.size[1];
     const float size = 1.0f / scale;
-    const Between down = between_cells(y, size, rows), across = between_cells(x, size, columns);
+    const Between down = between_cells((y + 0.5f) * size - 0.5f, rows);
+    const Between across = between_cells((x + 0.5f) * size - 0.5f, columns);
     return {{down.first * columns + across.first, down.first * columns + across.second,
              down.second * columns + across.first, down.second * columns + across.second},
             down.share,
@@ -218,14 +198,13 @@ struct Mixed {
 };
 
 // A pixel among cells that follow one path, interpolated between them.
-__device__ inline Made joined_pixel(const Mixed& of, const Around& around, int y, int x) {
+FN Made joined_pixel(const Mixed& of, const Around& around, int y, int x) {
     const float down = around.down, across = around.across;
     const float shares[4] = {(1.0f - down) * (1.0f - across), (1.0f - down) * across,
                              down * (1.0f - across), down * across};
     Led one = {{0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f}, 0.0f};
     float sharpest = 0.0f;
-#pragma unroll
-    for (int k = 0; k < 4; k++) {
+    UNROLL for (int k = 0; k < 4; k++) {
         const Four path = four(of.cells, 2 * size_t(around.places[k]));
         const Four rest = four(of.cells, 2 * size_t(around.places[k]) + 1);
         one.path.ax += shares[k] * path.x;
@@ -243,16 +222,16 @@ __device__ inline Made joined_pixel(const Mixed& of, const Around& around, int y
 }
 
 // Least number of four lanes that work on one pixel; sum and largest one.
-__device__ inline float of_four(float value, int step) {
+FN float of_four(float value, int step) {
     return __shfl_xor_sync(0xfu << (threadIdx.x & 28), value, step);
 }
 
-__device__ inline float sum_of_four(float value) {
+FN float sum_of_four(float value) {
     value += of_four(value, 1);
     return value + of_four(value, 2);
 }
 
-__device__ inline float largest_of_four(float value) {
+FN float largest_of_four(float value) {
     value = fmaxf(value, of_four(value, 1));
     return fmaxf(value, of_four(value, 2));
 }
@@ -260,7 +239,7 @@ __device__ inline float largest_of_four(float value) {
 // A pixel of several paths, made by four lanes, each of which has one of the paths; in all of them,
 // but for the path, which is that of the lane `best`. A path whose surface lies behind one that
 // both frames show there loses most of its share.
-__device__ inline Made mixed_pixel(const Mixed& of, const Around& around, int y, int x, int& best) {
+FN Made mixed_pixel(const Mixed& of, const Around& around, int y, int x, int& best) {
     const int lane = threadIdx.x % 4;
     float shares[4];
     share_cells(of.cells, around.places, around.across, around.down, shares);
@@ -298,7 +277,7 @@ struct Taken {
     bool is_first;
 };
 
-__device__ inline Taken taken_at(const Four& path, float led, int h, int w, int y, int x) {
+FN Taken taken_at(const Four& path, float led, int h, int w, int y, int x) {
     const bool is_first = led >= 1.0f - led;
     const Corner at = corner_of(y + 0.5f + (is_first ? path.y : path.w),
                                 x + 0.5f + (is_first ? path.x : path.z), h, w);
@@ -312,14 +291,14 @@ struct Results {
     View motion, depth, paths, led, colour;
 };
 
-__device__ inline void put_colour(float* to, const Colour& colour) {
+FN void put_colour(float* to, const Colour& colour) {
     to[0] = colour.r, to[1] = colour.g, to[2] = colour.b;
 }
 
 // All but the colour.
 template <bool ALL>
-__device__ inline void put_planes(const Mixed& of, const Made& made, const View& shares,
-                                  const Results& to, int y, int x) {
+FN void put_planes(const Mixed& of, const Made& made, const View& shares, const Results& to, int y,
+                   int x) {
     const int h = to.colour.size[0], w = to.colour.size[1];
     const Path& path = made.path;
     const Four ends = {path.ax, path.ay, path.bx, path.by};
@@ -337,8 +316,7 @@ __device__ inline void put_planes(const Mixed& of, const Made& made, const View&
 // The picture; its motion is shares[0] and shares[1] of what leads to both frames. A block makes
 // 32x8 pixels: those of one path first, then the others, which it lists.
 template <bool ALL>
-__device__ inline void compose(const Mixed& of, const View& scale, const View& shares,
-                               const Results& to) {
+FN void compose(const Mixed& of, const View& scale, const View& shares, const Results& to) {
     __shared__ int listed[256], count;
     __shared__ float colours[8][96];
     const int h = to.colour.size[0], w = to.colour.size[1], left = 32 * blockIdx.x,

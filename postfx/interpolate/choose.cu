@@ -12,7 +12,7 @@ extern "C" __global__ void interpolate_hold(View picture, View depth, View held)
 }
 
 // Sum of a block's threads, in all of them.
-__device__ inline float block_sum(float value) {
+FN float block_sum(float value) {
     __shared__ float parts[32];
     for (int mask = 16; mask; mask /= 2) value += __shfl_xor_sync(~0u, value, mask);
     __syncthreads();
@@ -25,14 +25,13 @@ __device__ inline float block_sum(float value) {
 
 // Sums over pixels of both pictures, one of each block (parts, 1): of their light, or of its
 // logarithm.
-__device__ inline float light_of(const View& picture, int j, int i, int step) {
+FN float light_of(const View& picture, int j, int i, int step) {
     const Four p = four(picture, size_t(j) * step * picture.size[1] + size_t(i) * step);
     return fmaxf(RED * p.x + GREEN * p.y + BLUE * p.z, 0.0f);
 }
 
 template <class Of>
-__device__ inline void sum_lights(const View& before, const View& after, const View& sums,
-                                  const Of& of) {
+FN void sum_lights(const View& before, const View& after, const View& sums, const Of& of) {
     const int h = before.size[0], w = before.size[1], step = min(h, w) >= 256 ? 4 : 1;
     const int rows = (h + step - 1) / step, columns = (w + step - 1) / step;
     float total = 0.0f;
@@ -43,7 +42,7 @@ __device__ inline void sum_lights(const View& before, const View& after, const V
     if (threadIdx.x == 0) sums.at[blockIdx.y] = total / (2.0f * rows * columns);
 }
 
-__device__ inline float sum_of(const View& sums) {
+FN float sum_of(const View& sums) {
     float total = 0.0f;
     for (int k = 0; k < sums.size[0]; k++) total += sums.at[k];
     return total;
@@ -64,7 +63,7 @@ extern "C" __global__ void interpolate_level(View sums, View level) {
     level.at[0] = 4.0f * expf(sum_of(sums));
 }
 
-__device__ inline float toned_at(const View& picture, int y, int x, float level) {
+FN float toned_at(const View& picture, int y, int x, float level) {
     const Four p = four(
         picture, size_t(clip(y, picture.size[0])) * picture.size[1] + clip(x, picture.size[1]));
     const float r = fmaxf(p.x, 0.0f), g = fmaxf(p.y, 0.0f), b = fmaxf(p.z, 0.0f);
@@ -87,14 +86,12 @@ struct Toned {
     int h, w, stride;
 };
 
-__device__ inline Toned toned_of(const View& before, const View& after) {
+FN Toned toned_of(const View& before, const View& after) {
     return {before.at, after.at, before.size[0] - 2 * MARGIN, before.size[1] - 2 * MARGIN,
             before.size[1]};
 }
 
-__device__ inline float taper(int i) {
-    return i == 0 || i == 7 ? 0.25f : i == 1 || i == 6 ? 0.75f : 1.0f;
-}
+FN float taper(int i) { return i == 0 || i == 7 ? 0.25f : i == 1 || i == 6 ? 0.75f : 1.0f; }
 
 struct Place {
     const float* at;
@@ -102,20 +99,20 @@ struct Place {
 };
 
 // Where the lane's column of a window begins: eight lanes work on one window.
-__device__ inline Place window_at(const float* toned, int stride, float y, float x) {
+FN Place window_at(const float* toned, int stride, float y, float x) {
     const float v = y - 0.5f * (ROWS - 1), u = x - 3.5f, j = floorf(v), i = floorf(u);
     return {toned + (int(j) + MARGIN) * stride + int(i) + MARGIN + threadIdx.x % 8, u - i, v - j};
 }
 
 // A number of a window's row, between pixels across.
-__device__ inline float across_at(const Place& place, int stride, int row, int column) {
+FN float across_at(const Place& place, int stride, int row, int column) {
     const float* const at = place.at + row * stride + column;
     return at[0] + place.across * (at[1] - at[0]);
 }
 
 // Mean difference of two toned pictures around the places that a path leads to; -1 where one is not
 // in its picture.
-__device__ inline float misfit(const Toned& by, float y, float x, const Path& path) {
+FN float misfit(const Toned& by, float y, float x, const Path& path) {
     if (!(is_inside(by.h, by.w, y + path.ay, x + path.ax)
           && is_inside(by.h, by.w, y + path.by, x + path.bx)))
         return -1.0f;
@@ -123,8 +120,7 @@ __device__ inline float misfit(const Toned& by, float y, float x, const Path& pa
     const Place other = window_at(by.after, by.stride, y + path.by, x + path.bx);
     float upper = across_at(one, by.stride, 0, 0), upper_after = across_at(other, by.stride, 0, 0),
           total = 0.0f;
-#pragma unroll
-    for (int j = 1; j <= ROWS; j++) {
+    UNROLL for (int j = 1; j <= ROWS; j++) {
         const float lower = across_at(one, by.stride, j, 0),
                     lower_after = across_at(other, by.stride, j, 0);
         const float a = upper + one.down * (lower - upper);
@@ -137,19 +133,16 @@ __device__ inline float misfit(const Toned& by, float y, float x, const Path& pa
 
 // Sums of squares of the slopes, across and down: of the difference of two windows, and of their
 // sum.
-__device__ inline Pair window_detail(const Toned& by, const Place& one, const Place& other) {
+FN Pair window_detail(const Toned& by, const Place& one, const Place& other) {
     float upper[2], upper_after[2], apart = 0.0f, common = 0.0f;
-#pragma unroll
-    for (int i = 0; i < 2; i++) {
+    UNROLL for (int i = 0; i < 2; i++) {
         upper[i] = across_at(one, by.stride, 0, i);
         upper_after[i] = across_at(other, by.stride, 0, i);
     }
     Pair sums = {0.0f, 0.0f};
-#pragma unroll
-    for (int j = 0; j < ROWS; j++) {
+    UNROLL for (int j = 0; j < ROWS; j++) {
         float less[2], more[2];
-#pragma unroll
-        for (int i = 0; i < 2; i++) {
+        UNROLL for (int i = 0; i < 2; i++) {
             const float lower = across_at(one, by.stride, j + 1, i),
                         lower_after = across_at(other, by.stride, j + 1, i);
             const float a = upper[i] + one.down * (lower - upper[i]);
@@ -170,13 +163,13 @@ __device__ inline Pair window_detail(const Toned& by, const Place& one, const Pl
             sum_of_eight(taper(threadIdx.x % 8) * sums.y)};
 }
 
-__device__ inline bool is_still(const Path& path) {
+FN bool is_still(const Path& path) {
     return fmaxf(fmaxf(fabsf(path.ax), fabsf(path.ay)), fmaxf(fabsf(path.bx), fabsf(path.by)))
            < STILL;
 }
 
 // A toned picture between four pixels.
-__device__ inline float value_at(const Toned& by, const float* toned, float y, float x) {
+FN float value_at(const Toned& by, const float* toned, float y, float x) {
     y = fminf(fmaxf(y, -1.0f), float(by.h));
     x = fminf(fmaxf(x, -1.0f), float(by.w));
     const float j = floorf(y), i = floorf(x), down = y - j, across = x - i;
@@ -185,13 +178,12 @@ __device__ inline float value_at(const Toned& by, const float* toned, float y, f
     return upper + down * (at[by.stride] + across * (at[by.stride + 1] - at[by.stride]) - upper);
 }
 
-__device__ inline float difference(const Toned& by, float y, float x, const Path& path) {
+FN float difference(const Toned& by, float y, float x, const Path& path) {
     return fabsf(value_at(by, by.before, y + path.ay, x + path.ax)
                  - value_at(by, by.after, y + path.by, x + path.bx));
 }
 
-__device__ inline float contrast(const Toned& by, float y, float x, const Path& path,
-                                 const Path& other) {
+FN float contrast(const Toned& by, float y, float x, const Path& path, const Path& other) {
     return fminf(fabsf(value_at(by, by.before, y + path.ay, x + path.ax)
                        - value_at(by, by.before, y + other.ay, x + other.ax)),
                  fabsf(value_at(by, by.after, y + path.by, x + path.bx)
@@ -268,7 +260,7 @@ extern "C" __global__ void __launch_bounds__(1024) interpolate_noise(View found,
 }
 
 // Whether around a cell one frame is turned or stretched evenly against the other one, by much.
-__device__ inline bool is_turning(const View& own, int y, int x, float size) {
+FN bool is_turning(const View& own, int y, int x, float size) {
     const int rows = own.size[0], columns = own.size[1], cell = y * columns + x;
     if (!(1 <= y && y < rows - 1 && 1 <= x && x < columns - 1)) return false;
     const Four here = four(own, 2 * cell);
@@ -287,13 +279,12 @@ __device__ inline bool is_turning(const View& own, int y, int x, float size) {
 
 // Whether no path of both sides at a cell and at the four beside it differs from its own: known by
 // how far they are from those cells' own ones.
-__device__ inline bool is_alone(const View& own, int y, int x, const Path& mine) {
+FN bool is_alone(const View& own, int y, int x, const Path& mine) {
     const int rows = own.size[0], columns = own.size[1], cell = y * columns + x;
     const int beside[4] = {y > 0 ? cell - columns : cell, y < rows - 1 ? cell + columns : cell,
                            x > 0 ? cell - 1 : cell, x < columns - 1 ? cell + 1 : cell};
     float most = own.at[8 * size_t(cell) + 6];
-#pragma unroll
-    for (int k = 0; k < 4; k++)
+    UNROLL for (int k = 0; k < 4; k++)
         most = fmaxf(most,
                      most_apart(path_of(own, beside[k]), mine) + own.at[8 * size_t(beside[k]) + 6]);
     return most <= 0.99f * OTHER;
@@ -305,8 +296,8 @@ struct Tried {
     float depth;
 };
 
-__device__ inline Tried tried_at(const View& own, const View& sides, const View& depths, int cell,
-                                 int k, float size) {
+FN Tried tried_at(const View& own, const View& sides, const View& depths, int cell, int k,
+                  float size) {
     const int columns = own.size[1], y = cell / columns, x = cell - y * columns, step = k % 5,
               side = k / 5;
     const int j = y + (step == 2) - (step == 4), i = x + (step == 1) - (step == 3),
@@ -322,8 +313,8 @@ __device__ inline Tried tried_at(const View& own, const View& sides, const View&
 
 // The path of a cell, found by eight lanes: its own, or another one around it that fits much
 // better.
-__device__ inline Path chosen_at(const Toned& toned, const View& own, const View& sides,
-                                 const View& depths, int cell, float least, float size) {
+FN Path chosen_at(const Toned& toned, const View& own, const View& sides, const View& depths,
+                  int cell, float least, float size) {
     const int columns = own.size[1], y = cell / columns, x = cell - y * columns;
     const float middle = 0.5f * (size - 1.0f), v = size * y + middle, u = size * x + middle;
     const float unseen = UNSEEN + UNSEEN_NOISE * least;
@@ -411,8 +402,7 @@ extern "C" __global__ void __launch_bounds__(256)
 }
 
 // Share of what two pictures show around the places of a path that both show (Wiener).
-__device__ inline float sharpness(const Toned& by, float y, float x, const Path& path,
-                                  float noise) {
+FN float sharpness(const Toned& by, float y, float x, const Path& path, float noise) {
     if (!(is_inside(by.h, by.w, y + path.ay, x + path.ax)
           && is_inside(by.h, by.w, y + path.by, x + path.bx)))
         return 1.0f;
@@ -424,8 +414,8 @@ __device__ inline float sharpness(const Toned& by, float y, float x, const Path&
 }
 
 // The same over 8x6 places whose paths change from place to place as from a cell to the next ones.
-__device__ inline float turned_sharpness(const Toned& by, float y, float x, const View& cells,
-                                         int cell, float scale, float noise) {
+FN float turned_sharpness(const Toned& by, float y, float x, const View& cells, int cell,
+                          float scale, float noise) {
     const int columns = cells.size[1], i = threadIdx.x % 8;
     const Four p = four(cells, 2 * cell), q = four(cells, 2 * (cell + 1)),
                r = four(cells, 2 * (cell + columns));
@@ -458,7 +448,7 @@ __device__ inline float turned_sharpness(const Toned& by, float y, float x, cons
 
 // Whether from a cell to the one (j, i) on a path's number changes about as much as to the next
 // one, or from the last.
-__device__ inline bool is_line(const View& cells, int y, int x, int j, int i, int c) {
+FN bool is_line(const View& cells, int y, int x, int j, int i, int c) {
     const int rows = cells.size[0], columns = cells.size[1];
     const float* const at = cells.at + c;
     const float here = at[8 * (y * columns + x)], next = at[8 * ((y + j) * columns + x + i)];
@@ -471,7 +461,7 @@ __device__ inline bool is_line(const View& cells, int y, int x, int j, int i, in
 
 // 1 for cells that follow one path with those to the right and below, 2 where it changes evenly,
 // else 0.
-__device__ inline int joined_at(const View& cells, int y, int x) {
+FN int joined_at(const View& cells, int y, int x) {
     const int rows = cells.size[0], columns = cells.size[1], cell = y * columns + x;
     const int j = min(y + 1, rows - 1) - y, i = min(x + 1, columns - 1) - x;
     const Path own = path_of(cells, cell), right = path_of(cells, cell + i),

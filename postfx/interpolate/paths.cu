@@ -50,7 +50,7 @@ extern "C" __global__ void interpolate_arrive(View motion, View depth, View keys
               front << 32 | unsigned(cell));
 }
 
-__device__ inline Pair led_to(const View& keys, const View& motion, int cell) {
+FN Pair led_to(const View& keys, const View& motion, int cell) {
     const unsigned long long key = reinterpret_cast<const unsigned long long*>(keys.at)[cell];
     if (key == ~0ULL) return {LOST, LOST};
     const Pair by = pair(motion, unsigned(key));
@@ -59,7 +59,7 @@ __device__ inline Pair led_to(const View& keys, const View& motion, int cell) {
 
 // Whether motion around a place changes from cell to cell by so much that it matters where it is
 // taken.
-__device__ inline bool is_sloping(const View& motion, float v, float u) {
+FN bool is_sloping(const View& motion, float v, float u) {
     const int h = motion.size[0], w = motion.size[1];
     if (!(u >= 0.0f && v >= 0.0f && u < float(w - 1) && v < float(h - 1))) return false;
     const int at = int(v) * w + int(u);
@@ -76,7 +76,7 @@ struct Sloped {
     float x, y, right, across, down, under;
 };
 
-__device__ inline Sloped sample_two(const View& motion, float v, float u) {
+FN Sloped sample_two(const View& motion, float v, float u) {
     const int h = motion.size[0], w = motion.size[1];
     if (!(u >= 0.0f && v >= 0.0f && u < float(w - 1) && v < float(h - 1))) return {};
     const int j = int(v), i = int(u), at = j * w + i;
@@ -102,7 +102,7 @@ __device__ inline Sloped sample_two(const View& motion, float v, float u) {
 
 // Motion of the frame before to the one after (rows, columns, 2): what arrived, cracks of one cell
 // filled from the neighbour whose depth (rows, columns, 1) is most alike; LOST elsewhere.
-__device__ inline bool fills(const View& depth, int y, int x, float own, Pair found, float& best) {
+FN bool fills(const View& depth, int y, int x, float own, Pair found, float& best) {
     const float unlike = fabsf(depth.at[y * depth.size[1] + x] / own - 1.0f);
     if (!(found.x < LOST && unlike < best)) return false;
     best = unlike;
@@ -156,8 +156,7 @@ extern "C" __global__ void interpolate_refine(View inverse, View motion, View de
 
 // Whether one of the four cells around a place, where a motion led, shows something nearer that
 // does not lead back.
-__device__ inline bool is_touched(const View& back, const View& depth, float v, float u, Pair by,
-                                  float z) {
+FN bool is_touched(const View& back, const View& depth, float v, float u, Pair by, float z) {
     const int h = depth.size[0], w = depth.size[1], j = int(floorf(v)), i = int(floorf(u));
     for (int b = max(j, 0); b < min(j + 2, h); b++) {
         for (int a = max(i, 0); a < min(i + 2, w); a++) {
@@ -169,7 +168,7 @@ __device__ inline bool is_touched(const View& back, const View& depth, float v, 
     return false;
 }
 
-__device__ inline float swing_of(float cosine) {
+FN float swing_of(float cosine) {
     const float half = sqrtf(0.5f + 0.5f * fminf(fmaxf(cosine, LEAST_COSINE), 1.0f));
     return 2.0f / ((1.0f + half) * half);
 }
@@ -280,35 +279,35 @@ extern "C" __global__ void interpolate_clear(View nearest, View count, View sums
 
 // Neighbouring floats added in one transfer where a GPU can do that.
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900
-__device__ inline void add_four(float* to, float x, float y, float z, float w) {
+FN void add_four(float* to, float x, float y, float z, float w) {
     asm volatile("red.global.add.v4.f32 [%0], {%1, %2, %3, %4};" ::"l"(to), "f"(x), "f"(y), "f"(z),
                  "f"(w)
                  : "memory");
 }
 
-__device__ inline void add_two(float* to, float x, float y) {
+FN void add_two(float* to, float x, float y) {
     asm volatile("red.global.add.v2.f32 [%0], {%1, %2};" ::"l"(to), "f"(x), "f"(y) : "memory");
 }
 #else
-__device__ inline void add_two(float* to, float x, float y) {
+FN void add_two(float* to, float x, float y) {
     atomicAdd(to, x);
     atomicAdd(to + 1, y);
 }
 
-__device__ inline void add_four(float* to, float x, float y, float z, float w) {
+FN void add_four(float* to, float x, float y, float z, float w) {
     add_two(to, x, y);
     add_two(to + 2, z, w);
 }
 #endif
 
 // Where a path is at a time, from its cell.
-__device__ inline Pair way_at(const Four& end, const Pair& bent, float t) {
+FN Pair way_at(const Four& end, const Pair& bent, float t) {
     const float s = t * (t - 1.0f);
     return {end.x + t * (end.z - end.x) + s * bent.x, end.y + t * (end.w - end.y) + s * bent.y};
 }
 
 // One of two tensors of the same size.
-__device__ inline View one_of(const View& first, const View& second, bool is_second) {
+FN View one_of(const View& first, const View& second, bool is_second) {
     return {is_second ? second.at : first.at, {first.size[0], first.size[1]}};
 }
 
@@ -333,7 +332,7 @@ struct Arriving {
     float ax, ay, bx, by, seen, weight;
 };
 
-__device__ inline void add_more(Arriving& sum, const Arriving& path, float weight) {
+FN void add_more(Arriving& sum, const Arriving& path, float weight) {
     sum.ax += weight * path.ax;
     sum.ay += weight * path.ay;
     sum.bx += weight * path.bx;
@@ -342,12 +341,12 @@ __device__ inline void add_more(Arriving& sum, const Arriving& path, float weigh
     sum.weight += weight;
 }
 
-__device__ inline Arriving both_of(const Arriving& one, const Arriving& other) {
+FN Arriving both_of(const Arriving& one, const Arriving& other) {
     return {one.ax + other.ax, one.ay + other.ay,     one.bx + other.bx,
             one.by + other.by, one.seen + other.seen, one.weight + other.weight};
 }
 
-__device__ inline void put_down(const View& sums, int cell, const Arriving& sum) {
+FN void put_down(const View& sums, int cell, const Arriving& sum) {
     if (!(sum.weight > 0.0f)) return;
     add_four(sums.at + 8 * size_t(cell), sum.ax, sum.ay, sum.bx, sum.by);
     add_two(sums.at + 8 * size_t(cell) + 4, sum.seen, sum.weight);
@@ -374,8 +373,7 @@ extern "C" __global__ void __launch_bounds__(256)
     const float t = time.at[0];
     Arriving below = {};
     int place_below = -1;
-#pragma unroll
-    for (int step = 0; step < STEPS_DOWN; step++) {
+    UNROLL for (int step = 0; step < STEPS_DOWN; step++) {
         const int y = from + step, cell = y * w + x;
         Arriving path = {};
         float weights[4] = {0.0f, 0.0f, 0.0f, 0.0f};
@@ -389,8 +387,7 @@ extern "C" __global__ void __launch_bounds__(256)
                 path = {end.x - by.x, end.y - by.y,  end.z - by.x,
                         end.w - by.y, seen.at[cell], 1.0f};
                 place = (top + j) * w + i;
-#pragma unroll
-                for (int k = 0; k < 4; k++) {
+                UNROLL for (int k = 0; k < 4; k++) {
                     const int b = j + k / 2, a = i + k % 2;
                     if (b < 0 || b >= h || a < 0 || a >= w) continue;
                     const float front = nearest.at[(top + b) * w + a];
@@ -440,14 +437,13 @@ struct Arrived {
     float seen, depth;
 };
 
-__device__ inline Arrived mean_of(const View& sums, int cell, float depth) {
+FN Arrived mean_of(const View& sums, int cell, float depth) {
     const Four p = four(sums, 2 * size_t(cell)), q = four(sums, 2 * size_t(cell) + 1);
     return {{p.x / q.y, p.y / q.y, p.z / q.y, p.w / q.y}, q.x / q.y, depth};
 }
 
 // Of both sides one lies below the other, from a row on.
-__device__ inline Arrived arrived_at(const View& nearest, const View& sums, int top, int y, int x,
-                                     int h) {
+FN Arrived arrived_at(const View& nearest, const View& sums, int top, int y, int x, int h) {
     const int w = nearest.size[1], cell = (top + y) * w + x;
     if (nearest.at[cell] < FAR) return mean_of(sums, cell, nearest.at[cell]);
     Arrived found = {{__int_as_float(0x7fc00000), 0.0f, 0.0f, 0.0f}, 0.0f, nearest.at[cell]};
@@ -469,7 +465,7 @@ __device__ inline Arrived arrived_at(const View& nearest, const View& sums, int 
 }
 
 // The same without jitter.
-__device__ inline Arrived without_jitter(Arrived found, const View& facts) {
+FN Arrived without_jitter(Arrived found, const View& facts) {
     const float* const shift = facts.at + 5;  // what jitters of both frames take off again
     found.path = {found.path.x - shift[0], found.path.y - shift[1], found.path.z - shift[2],
                   found.path.w - shift[3]};
@@ -506,7 +502,7 @@ extern "C" __global__ void interpolate_merge(View nearest, View sums, View facts
     four(own, 2 * cell + 1) = {merged.first, merged.last, apart, one.last + 2.0f * other.first};
 }
 
-__device__ inline float front_of(const View& depths, int cell) {
+FN float front_of(const View& depths, int cell) {
     const Pair both = pair(depths, cell);
     return fminf(both.x, both.y);
 }

@@ -257,14 +257,19 @@ class ChannelIndex:
         names = [name for name, _ in self._everything.channels.values() if "." in name]
         return list(dict.fromkeys(make_printable(name.partition(".")[0]) for name in names))
 
-    def contents(self, without: Iterable[Channel] = ()) -> list[str]:
-        """What the files hold, layer by layer, except some channels: 'albedo.R,G,B'."""
+    def contents(self, without: Iterable[Channel] = (), of_view: bool = False) -> list[str]:
+        """What the files hold, layer by layer, except some channels: 'albedo.R,G,B'; with
+        `of_view`, also except those of other views than the one that is looked at first."""
         left_out = set(without)
+        others = frozenset(self.views[1:]) if of_view else frozenset()
         layers: dict[str, list[str]] = {}
         for word, parts in self._files.items():
+            views = _views(parts)
             for part in parts:
+                own = _name_and_view(part, views)[1]
                 for name in part.channels:
-                    if Channel(word, part, name) in left_out:
+                    seen = _without_view(name, views, own, len(parts) == 1)[1]
+                    if Channel(word, part, name) in left_out or seen in others:
                         continue
                     layer, _, letter = name.rpartition(".")
                     layers.setdefault(layer or (part.name if len(parts) > 1 else ""),

@@ -14,10 +14,10 @@ import OpenImageIO as oiio
 
 from postfx.errors import MissingPlaneError
 from postfx.files import file_threads, run_in_order
-from postfx.frame import ROLES, Frame, FrameSpec, Role
+from postfx.frame import ROLES, Frame, FrameSpec, Role, StoredRows
 from postfx.io.channels import Channel, ChannelIndex, read_channels
 from postfx.io.convert import Camera, convert, fill_background_motion
-from postfx.io.exr.container import read_rows, rows_of_task
+from postfx.io.exr.container import ExrContainer, read_rows, rows_of_task
 from postfx.io.facts import merge_headers, read_facts
 from postfx.io.image_file import ImageFile
 from postfx.io.layout import GuideLayout, Layout, Match
@@ -48,6 +48,8 @@ MOST_CHUNK_ROWS = 256
 READING_FACTOR = 8
 """Memory that is kept free to read rows, in parts of their planes: they are there twice for a
 moment, with channels that nobody wants."""
+MOST_PICTURE_CHANNELS = 4
+"""Red, green, blue and alpha: of a part with more channels a picture replaces only some."""
 READ_ALL = ReadOptions()
 """All planes that are there, as they are."""
 UNSETTLED = Settled()
@@ -105,7 +107,10 @@ class _Rows:
                 self._read_any(rows)
 
     def _read_any(self, rows: tuple[int, int]) -> None:
-        """Read rows by OpenImageIO."""
+        """Read rows by OpenImageIO, where this package cannot unpack all of them."""
+        for file in self.files.values():
+            if file.container:
+                file.container.unpacked.clear()
         pixels = read_channels(self.files, self.plan.fills, rows)
         for role, match in self.plan.matches.items():
             stored = [pixels[channel] for channel in match.channels]
@@ -267,9 +272,10 @@ class FrameFiles(ExitStack):
         roles: Iterable[Role] | None = None,
         guides: Iterable[Role] | None = None,
         scratch: Scratch | None = None,
+        hold_rows: bool = False,
     ) -> Frame:
         """Frame with the planes of `roles` (None: all that are there) and these guides, in arrays
-        of `scratch`.
+        of `scratch`; see `Sequence.read` for `hold_rows`.
 
         Without `guides`, `roles` tells what to read at whatever size it is there. Raises
         MissingPlaneError when one of them is not there, ReadError when pixels cannot be decoded.
@@ -287,6 +293,7 @@ class FrameFiles(ExitStack):
         if choice is None:
             choice = choices[key] = self._choose(*asked)
 
+        container = self._hold_rows(choice) if hold_rows else None
         planes = read_planes(self.files, choice.rows, self.layout.camera, scratch)
         motion, depth = planes.get(Role.MOTION), planes.get(Role.DEPTH)
         if motion is not None and depth is not None and motion.shape[:2] == depth.shape[:2]:
@@ -301,10 +308,26 @@ class FrameFiles(ExitStack):
             planes[Role.STRENGTH] = self.alone.strength(planes, scratch)
             planes = {role: planes[role] for role in choice.planes if role in planes}
         frame = self._frame(number, planes, guide_planes, choice.first)
+        if container and frame.colour_source:
+            rows = StoredRows(container.identity, container.unpacked)
+            frame.colour_source = replace(frame.colour_source, rows=rows)
         if self.parts and Role.COLOUR in planes:
             frame.parts = read_parts(self.files, self.parts)
             frame.part_sources = {name: part.source for name, part in self.parts.items()}
         return frame
+
+    def _hold_rows(self, choice: Choice) -> ExrContainer | None:
+        """Let the colour's file keep the rows that are unpacked of its part; None where nothing but
+        a picture is in it, or not all rows are unpacked here."""
+        word, part, _ = choice.first
+        unpacked = {(name, own) for plan in choice.rows for name, own, _ in plan.parts or ()}
+        container = self.files[word].container
+        if container is None or (word, part) not in unpacked:
+            return None
+        if len(part.channels) <= MOST_PICTURE_CHANNELS:
+            return None
+        container.hold_rows(part.index)
+        return container
 
     def _choose(
         self, roles: Iterable[Role] | None, guides: Iterable[Role] | None

@@ -474,10 +474,11 @@ _MOTION = re.compile(
 
 
 def find_unread(plan: ReadPlan, layout: Layout) -> list[str]:
-    """Layers of a frame's files that no plane, part or guide is read from: 'AO.R,G,B'."""
+    """Layers of a frame's files that no plane, part or guide is read from: 'AO.R,G,B'; those of
+    the view that is read."""
     used = [match.channels for match in (*layout.planes.values(), *plan.guides.values())]
     used += [part.channels for part in plan.parts.values()]
-    return plan.index.contents(chain.from_iterable(used))
+    return plan.index.contents(chain.from_iterable(used), of_view=True)
 
 
 def find_unread_motion(plan: ReadPlan, layout: Layout) -> dict[str, tuple[Channel, ...]]:

@@ -331,8 +331,12 @@ class Sequence:
         number: int,
         planes: Iterable[Role] | None = None,
         guides: Iterable[Role] | None = None,
+        hold_rows: bool = False,
     ) -> Frame:
         """One frame with the wanted planes and guides (None: those of the constructor, or all).
+
+        hold_rows: the frame keeps what was unpacked of the colour's part, half of the memory of all
+        planes in it, so that `write_frame(keep=True)` need not unpack it again.
 
         Raises MissingFrameError, MissingPlaneError, GuideError or ReadError; FrameError for a word
         that is no role.
@@ -342,6 +346,7 @@ class Sequence:
             self._last,
             None if planes is None else tuple(find_role(role) for role in planes),
             None if guides is None else tuple(find_role(role, "guide") for role in guides),
+            hold_rows=hold_rows,
         )
 
     def begins_shot(self, number: int) -> bool:
@@ -361,7 +366,8 @@ class Sequence:
 
     def _read(
         self, number: int, previous: int | None, planes: Collection[Role] | None = None,
-        guides: Collection[Role] | None = None, is_lenient: bool = False
+        guides: Collection[Role] | None = None, is_lenient: bool = False,
+        hold_rows: bool = False
     ) -> Frame:
         """A frame that comes after `previous`, with all views; if `is_lenient`, without planes that
         it lacks, except the colour."""
@@ -373,7 +379,8 @@ class Sequence:
             is_motion_wanted = files.lacks_motion and (wanted is None or Role.MOTION in wanted)
             more = self._find_motion_sources(files, wanted) if is_motion_wanted else ()
             asked = None if wanted is None else (*wanted, *more)
-            frame = files.read(number, asked, guiding, self.options.scratch)
+            frame = files.read(number, asked, guiding, self.options.scratch,
+                               hold_rows and not self.views)
             if files.alone:
                 self.coverage.add(files.alone.shares)
             lights = [name for name, found in files.parts.items() if found.part.is_light]

@@ -143,6 +143,8 @@ KERNEL_SOURCES = _PACKAGE
 """Where our kernels lie, beside the modules that their constants come from."""
 SHARED = KERNEL_SOURCES / "kernels"
 _KERNEL = re.compile(r'extern "C" __global__ void (?:__launch_bounds__\([^)]*\)\s+)?(\w+)\(')
+_IN_TWO_FORMS = re.compile(r"^template <class Number>\n__global__ void "
+                           r"(__launch_bounds__\([^)]*\)\s+)?(\w+)\(([^)]*)\)", re.M)
 _NAME = re.compile(r"\b[A-Z][A-Z\d_]+\b")
 _INCLUDE = re.compile(r'^#include "(.+)"\n', re.M)
 _CONSTANT = re.compile(r"^constexpr \w+ ([A-Z][A-Z\d_]*) = .*;.*\n", re.M)
@@ -166,7 +168,21 @@ def read_source(family: Path) -> str:
     if not family.is_relative_to(KERNEL_SOURCES):
         own = "".join(path.read_text() for path in files)
         return view + own.replace("#include <postfx/mlp.cuh>", _expand([SHARED / "mlp.cuh"]), 1)
-    return view + _with_constants(family, _expand([SHARED / "common.cuh", *files]))
+    return view + _with_constants(family, _in_two_forms(_expand([SHARED / "common.cuh", *files])))
+
+
+def _in_two_forms(source: str) -> str:
+    """A source whose kernels of a type `Number` are functions that two kernels call: `name` with
+    numbers in single precision, `name_half` with bits of half precision."""
+    kernels = ""
+    for bounds, name, parameters in _IN_TWO_FORMS.findall(source):
+        given = ", ".join(view.split()[-1] for view in parameters.split(","))
+        for ending, number in (("", "float"), ("_half", "Half")):
+            kernels += (f'extern "C" __global__ void {bounds}{name}{ending}({parameters}) {{\n'
+                        f"    {name}_by<{number}>({given});\n}}\n")
+    functions = _IN_TWO_FORMS.sub(r"template <class Number>\n__device__ inline void \2_by(\3)",
+                                  source)
+    return functions + kernels
 
 
 _OF_A_CPU = {"number.h", "rows.h", "neural.h", "denoise.h"}
@@ -242,4 +258,5 @@ def print_constants(constants: Mapping[str, Any]) -> str:
 def _families(folder: Path) -> dict[str, Path]:
     """Every kernel's file by the kernel's name: below our folder, or in a plug-in's."""
     sources = sorted(folder.rglob("*.cu") if folder == KERNEL_SOURCES else folder.glob("*.cu"))
-    return {name: path for path in sources for name in _KERNEL.findall(path.read_text())}
+    return {name: path for path in sources
+            for name in _KERNEL.findall(_in_two_forms(path.read_text()))}

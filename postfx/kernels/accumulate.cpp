@@ -7,8 +7,6 @@ constexpr float LONGEST = 10.0f;  // frames that are averaged, at most
 constexpr float DEPTH_STEP = 0.1f;  // relative difference in depth of one surface
 constexpr float FACING = 0.8f;  // cosine of the angle between normals of one surface
 
-typedef View<const float, 3> Picture;
-
 // The render pixel that holds an output pixel's centre.
 FN Long centre(Long position, Long size, Long out_size) {
     return (2 * position + 1) * size / (2 * out_size);
@@ -38,44 +36,42 @@ FN bool same_surface(const Surface& now, const Pixel& here, const Surface& past,
 }
 
 // Colour and the count of frames in it; the history is the last output.
-static void accumulate_rows(Long first, Long last, Picture current, Picture history,
-                            Picture motion, Surface now, Surface past, View<float, 3> output) {
+static void accumulate_row(Long y, Picture current, Picture history, Picture motion, Surface now,
+                           Surface past, View<float, 3> output) {
     const Long height = current.size[0], width = current.size[1];
     const Long h = motion.size[0], w = motion.size[1];
-    for (Long y = first; y < last; y++) {
-        const Long row = centre(y, h, height);
-        for (Long x = 0; x < width; x++) {
-            const Pixel here = {row, centre(x, w, width)};
-            const float* moved = motion(here.y, here.x);
-            const float v = float(y) + moved[1] * float(height) / float(h);
-            const float u = float(x) + moved[0] * float(width) / float(w);
-            const bool inside = v > -0.5f && double(v) < double(height) - 0.5 && u > -0.5f
-                             && double(u) < double(width) - 0.5;
-            float count = 1.0f;
-            if (inside) {
-                const Long near_y = Long(floor_of(v + 0.5f)), near_x = Long(floor_of(u + 0.5f));
-                const Pixel there = {centre(near_y, h, height), centre(near_x, w, width)};
-                if (same_surface(now, here, past, there)) {
-                    count = smaller<float>(LONGEST, history(near_y, near_x)[3] + 1.0f);
-                }
+    const Long row = centre(y, h, height);
+    for (Long x = 0; x < width; x++) {
+        const Pixel here = {row, centre(x, w, width)};
+        const float* moved = motion(here.y, here.x);
+        const float v = float(y) + moved[1] * float(height) / float(h);
+        const float u = float(x) + moved[0] * float(width) / float(w);
+        const bool inside = v > -0.5f && double(v) < double(height) - 0.5 && u > -0.5f
+                         && double(u) < double(width) - 0.5;
+        float count = 1.0f;
+        if (inside) {
+            const Long near_y = Long(floor_of(v + 0.5f)), near_x = Long(floor_of(u + 0.5f));
+            const Pixel there = {centre(near_y, h, height), centre(near_x, w, width)};
+            if (same_surface(now, here, past, there)) {
+                count = smaller<float>(LONGEST, history(near_y, near_x)[3] + 1.0f);
             }
-            const float* own = current(y, x);
-            float* out = output(y, x);
-            for (int c = 0; c < 3; c++) out[c] = own[c];
-            out[3] = count;
-            if (!(count > 1.0f)) continue;
-            const float top = floor_of(v), left = floor_of(u), down = v - top, right = u - left;
-            const Long upper = clip(Long(top), height), lower = clip(Long(top) + 1, height);
-            const Long before = clip(Long(left), width), after = clip(Long(left) + 1, width);
-            for (int c = 0; c < 3; c++) {
-                const float above = history(upper, before)[c] * (1.0f - right)
-                                  + history(upper, after)[c] * right;
-                const float below = history(lower, before)[c] * (1.0f - right)
-                                  + history(lower, after)[c] * right;
-                const float mean = above * (1.0f - down) + below * down;
-                out[c] = mean + (own[c] - mean) / count;
-            }
+        }
+        const float* own = current(y, x);
+        float* out = output(y, x);
+        for (int c = 0; c < 3; c++) out[c] = own[c];
+        out[3] = count;
+        if (!(count > 1.0f)) continue;
+        const float top = floor_of(v), left = floor_of(u), down = v - top, right = u - left;
+        const Long upper = clip(Long(top), height), lower = clip(Long(top) + 1, height);
+        const Long before = clip(Long(left), width), after = clip(Long(left) + 1, width);
+        for (int c = 0; c < 3; c++) {
+            const float above = history(upper, before)[c] * (1.0f - right)
+                              + history(upper, after)[c] * right;
+            const float below = history(lower, before)[c] * (1.0f - right)
+                              + history(lower, after)[c] * right;
+            const float mean = above * (1.0f - down) + below * down;
+            out[c] = mean + (own[c] - mean) / count;
         }
     }
 }
-EXPORT(accumulate_past, accumulate_rows)
+EXPORT(accumulate_past, accumulate_row)

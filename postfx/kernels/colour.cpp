@@ -10,8 +10,7 @@ static Status apply_cube_rows(Long first, Long last, Picture colour, Given<Shapi
     if (!cubes) return NO_MEMORY;
     for (Long y = first; y < last; y++) {
         const float* from = colour(y);
-        across(0, width, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, width, EACH(F, Long x) {
             cubes.find<F>(shaper.shape<F>(colour_at<F>(from + 3 * x)), x);
         });
         cubes.put(output(y));
@@ -27,9 +26,8 @@ FN void each_colour(Long first, Long last, const Picture& colour, const NewPictu
     for (Long y = first; y < last; y++) {
         const float* from = colour(y);
         float* out = output(y);
-        across(0, colour.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
-            store_colour<F>(out + 3 * x, change(colour_at<F>(from + 3 * x)));
+        across(0, colour.size[1], EACH(F, Long x) {
+            store_colour<F>(out + 3 * x, change(F(), colour_at<F>(from + 3 * x)));
         });
     }
 }
@@ -62,8 +60,7 @@ static void encode_display_rows(Long first, Long last, Picture colour, Given<Dis
                                 View<const float, 1> decode, View<const float, 1> encode,
                                 NewPicture output) {
     const float most = params->most, exponent = params->exponent;
-    each_colour(first, last, colour, output, PIXELS(auto given) {
-        typedef decltype(given.r) F;
+    each_colour(first, last, colour, output, EACH(F, const Colour<F>& given) {
         Colour<F> seen = finite<F>(given);
         if (params->codes > 0.0f) {
             seen = {decoded<F>(seen.r, decode.at), decoded<F>(seen.g, decode.at),
@@ -89,8 +86,7 @@ EXPORT(encode_display, encode_display_rows)
 template <class Formula>
 static void show_rows(Long first, Long last, Picture colour, Given<Showing> params,
                       NewPicture output) {
-    each_colour(first, last, colour, output, PIXELS(auto given) {
-        typedef decltype(given.r) F;
+    each_colour(first, last, colour, output, EACH(F, const Colour<F>& given) {
         const Colour<F> light = finite<F>(given);
         const Shown<F> shown = show_light<Formula, F>(*params, light.r, light.g, light.b);
         return Colour<F>{shown.r, shown.g, shown.b};
@@ -102,6 +98,8 @@ EXPORT(show_reinhard, show_rows<Reinhard>)
 // A matrix alone.
 static void convert_primaries_rows(Long first, Long last, Picture colour, Given<Matrix> matrix,
                                    NewPicture output) {
-    each_colour(first, last, colour, output, PIXELS(auto given) { return matrix->apply(given); });
+    each_colour(first, last, colour, output, EACH(F, const Colour<F>& given) {
+        return matrix->apply<F>(given);
+    });
 }
 EXPORT(convert_primaries, convert_primaries_rows)

@@ -15,23 +15,18 @@ extern "C" __global__ void __launch_bounds__(256, 4)
     const int count = x + 1 < width ? 6 : 3;
     float light[6], found[6];
     if (width % 2 == 0) {
-#pragma unroll
-        for (int i = 0; i < 3; i++) {
+        UNROLL for (int i = 0; i < 3; i++) {
             const Pair two = pair(colour, here / 2 + i);
             light[2 * i] = two.x;
             light[2 * i + 1] = two.y;
         }
     } else {
-#pragma unroll
-        for (int i = 0; i < 6; i++) light[i] = colour.at[here + (i < count ? i : 0)];
+        UNROLL for (int i = 0; i < 6; i++) light[i] = colour.at[here + (i < count ? i : 0)];
     }
     const Colour places[2] = {shaped(by, light), shaped(by, light + 3)};
-#pragma unroll
-    for (int k = 0; k < 2; k++) {
+    UNROLL for (int k = 0; k < 2; k++) {
         const Colour one = looked_up<4>(cube, places[k]);
-        found[3 * k] = one.r;
-        found[3 * k + 1] = one.g;
-        found[3 * k + 2] = one.b;
+        put(found + 3 * k, one);
     }
     put_pixels(staged[threadIdx.y], found, output, y, x, start);
 }
@@ -40,16 +35,14 @@ extern "C" __global__ void __launch_bounds__(256, 4)
 // matrix, cut, encoded. params (12,), decode (4098,), encode (4098,): see postfx/kernels/colour.py.
 
 // A table between its entries, at a share of it in [0, 1].
-__device__ inline float looked_up(const View& table, float share) {
+FN float looked_up(const View& table, float share) {
     const float place = share * float(STEPS);
     const int i = int(place);
     const float low = __ldg(table.at + i);
     return low + (place - i) * (__ldg(table.at + i + 1) - low);
 }
 
-__device__ inline float root(float value) {
-    return sqrtf(sqrtf(sqrtf(value)));
-}
+FN float root(float value) { return sqrtf(sqrtf(sqrtf(value))); }
 
 extern "C" __global__ void encode_display(View colour, View params, View decode, View encode,
                                           View output) {
@@ -75,7 +68,7 @@ extern "C" __global__ void encode_display(View colour, View params, View decode,
 
 // Views that are formulas: colour (height, width, 3), params (14,) -> output (height, width, 3).
 template <class Formula>
-__device__ inline void show(const View& colour, const View& params, const View& output) {
+FN void show(const View& colour, const View& params, const View& output) {
     const int width = output.size[1];
     PIXEL(width, output.size[0]);
     const size_t here = 3 * (size_t(y) * width + x);
@@ -83,9 +76,7 @@ __device__ inline void show(const View& colour, const View& params, const View& 
     for (int c = 0; c < 3; c++) in[c] = clamped(colour.at[here + c], -BRIGHTEST, BRIGHTEST);
     const Showing& by = *reinterpret_cast<const Showing*>(params.at);
     const Shown<float> shown = show_light<Formula, float>(by, in[0], in[1], in[2]);
-    output.at[here] = shown.r;
-    output.at[here + 1] = shown.g;
-    output.at[here + 2] = shown.b;
+    put(output.at + here, {shown.r, shown.g, shown.b});
 }
 
 extern "C" __global__ void show_neutral(View colour, View params, View output) {

@@ -3,9 +3,6 @@
 #pragma once
 #include "rows.h"
 
-typedef View<const float, 3> Picture;
-typedef View<float, 3> NewPicture;
-
 constexpr float BRIGHTEST = 1e10f;
 // Of Rec.2020's luminance.
 constexpr float RED = 0.2627f;
@@ -73,13 +70,6 @@ struct Shaper {
 // Tetrahedral look-up in a cube (size, size, size, 3), by rows: first where and how much, in
 // vectors, then the colours.
 typedef View<const float, 4> Cube;
-typedef float Four __attribute__((ext_vector_type(4)));
-
-FN Four four_at(const float* at) {
-    Four x;
-    __builtin_memcpy(&x, at, sizeof x);
-    return x;
-}
 
 struct LookUp {
     const float* cube;
@@ -132,14 +122,14 @@ struct LookUp {
         const float *most = shares.at, *middle = most + width, *least = middle + width;
         for (Long x = 0; x < width; x++) {
             const float* at = cube + first[x];
-            const Four last = four_at(at + across - 1);
-            const Four near = four_at(at) * (1.0f - most[x])
-                            + four_at(cube + second[x]) * (most[x] - middle[x]);
-            const Four far = four_at(cube + third[x]) * (middle[x] - least[x])
+            const Four last = load<Four>(at + across - 1);
+            const Four near = load<Four>(at) * (1.0f - most[x])
+                            + load<Four>(cube + second[x]) * (most[x] - middle[x]);
+            const Four far = load<Four>(cube + third[x]) * (middle[x] - least[x])
                            + __builtin_shufflevector(last, last, 1, 2, 3, 3) * least[x];
             const Four found = near + far;
             if (x + 1 < width) {
-                __builtin_memcpy(out + 3 * x, &found, sizeof found);
+                store(out + 3 * x, found);
             } else {
                 for (int c = 0; c < 3; c++) out[3 * x + c] = found[c];
             }

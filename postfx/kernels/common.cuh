@@ -10,18 +10,37 @@ struct Colour {
     float r, g, b;
 };
 
-__device__ inline void add(Colour& sum, const Colour& light, float weight) {
+FN Colour operator*(const Colour& light, float by) {
+    return {light.r * by, light.g * by, light.b * by};
+}
+
+FN Colour operator*(const Colour& light, const Colour& by) {
+    return {light.r * by.r, light.g * by.g, light.b * by.b};
+}
+
+FN void add(Colour& sum, const Colour& light, float weight) {
     sum = {sum.r + weight * light.r, sum.g + weight * light.g, sum.b + weight * light.b};
 }
 
+// A colour beside one another in memory, or a step apart, as in planes.
+FN Colour three(const float* at, size_t step = 1) {
+    return {at[0], at[step], at[2 * step]};
+}
+
+FN void put(float* to, const Colour& light, size_t step = 1) {
+    to[0] = light.r;
+    to[step] = light.g;
+    to[2 * step] = light.b;
+}
+
 // Within [low, high], which holds 0 or lies above it; a NaN becomes the value nearest to 0.
-__device__ inline float clamped(float value, float low, float high) {
+FN float clamped(float value, float low, float high) {
     return fminf(fmaxf(low, value == value ? value : 0.0f), high);
 }
 
 // How much of the history a render pixel of the part uses; `keep` has one number for all of them,
 // or one for each.
-__device__ inline float share_of(const View& keep, int row, int column) {
+FN float share_of(const View& keep, int row, int column) {
     return keep.at[clip(row, keep.size[0]) * keep.size[1] + clip(column, keep.size[1])];
 }
 
@@ -31,20 +50,20 @@ struct Window {
     int top, left, h, w, out_top, out_left, height, width;
 };
 
-__device__ inline Window window_of(const View& view) {
+FN Window window_of(const View& view) {
     const float* at = view.at;
     return {int(at[TOP]), int(at[LEFT]), int(at[HEIGHT]), int(at[WIDTH]),
             int(at[OUT_TOP]), int(at[OUT_LEFT]), int(at[OUT_HEIGHT]), int(at[OUT_WIDTH])};
 }
 
 // Whether both sides are twice the render's.
-__device__ inline bool is_doubled(const Window& part) {
+FN bool is_doubled(const Window& part) {
     return part.width == 2 * part.w && part.height == 2 * part.h;
 }
 
 // The render pixel that holds an output pixel's centre; `offset` becomes the centre's offset from
 // it in [-0.5, 0.5).
-__device__ inline int centre(int position, int size, int out_size, float& offset) {
+FN int centre(int position, int size, int out_size, float& offset) {
     const long long at = (2LL * position + 1) * size;  // in units of 1 / (2 out_size): exact
     const int index = int(at / (2LL * out_size));
     offset = float(double(at - index * (2LL * out_size)) / (2.0 * out_size) - 0.5);
@@ -53,19 +72,19 @@ __device__ inline int centre(int position, int size, int out_size, float& offset
 
 // How near a render pixel is to what is worked on, by cells (cells, cells), or by one number for
 // all.
-__device__ inline float nearness(const View& near, int y, int x) {
+FN float nearness(const View& near, int y, int x) {
     return near.at[size_t(min(y / NEAR_CELL, near.size[0] - 1)) * near.size[1]
                    + min(x / NEAR_CELL, near.size[1] - 1)];
 }
 
 // Mean of alpha's samples (2 h, 2 w, 1) in a render pixel.
-__device__ inline float pixel_mean(const View& samples, int at_y, int at_x, int w) {
+FN float pixel_mean(const View& samples, int at_y, int at_x, int w) {
     const float* const upper = samples.at + 4 * size_t(at_y) * w + 2 * at_x;
     return (upper[0] + upper[1] + upper[2 * w] + upper[2 * w + 1]) * 0.25f;
 }
 
 // Reflectance that colour is divided by at a pixel (y, x) of albedos (h, w, 3).
-__device__ inline Colour demodulation(const View& diffuse, const View& specular, int y, int x) {
+FN Colour demodulation(const View& diffuse, const View& specular, int y, int x) {
     const int at = 3 * (y * diffuse.size[1] + x);
     const float *const some = diffuse.at + at, *const others = specular.at + at;
     const Tint<float> found = tinted<float>(some[0] + others[0], some[1] + others[1],
@@ -74,8 +93,21 @@ __device__ inline Colour demodulation(const View& diffuse, const View& specular,
 }
 
 // A pixel's light without its reflectance `by`.
-__device__ inline Light<float> light_without(const float* rgb, const Colour& by, float exposure) {
+FN Light<float> light_without(const float* rgb, const Colour& by, float exposure) {
     return light_of<float>({rgb[0], rgb[1], rgb[2]}, {by.r, by.g, by.b}, exposure);
+}
+
+// The two of some cells along a side that a place lies between, which is held within them, and how
+// far it is from the first to the second one.
+struct Between {
+    int first, second;
+    float share;
+};
+
+FN Between between_cells(float place, int count) {
+    const float at = fminf(fmaxf(place, 0.0f), float(count - 1));
+    const int first = int(at);
+    return {first, min(first + 1, count - 1), at - first};
 }
 
 // Two or four neighbouring floats, read or written in one transfer.
@@ -88,13 +120,9 @@ struct alignas(16) Four {
 };
 
 // The floats of a tensor from 2 * index or 4 * index on; tensors begin at multiples of 256 bytes.
-__device__ inline Pair& pair(const View& view, size_t index) {
-    return reinterpret_cast<Pair*>(view.at)[index];
-}
+FN Pair& pair(const View& view, size_t index) { return reinterpret_cast<Pair*>(view.at)[index]; }
 
-__device__ inline Four& four(const View& view, size_t index) {
-    return reinterpret_cast<Four*>(view.at)[index];
-}
+FN Four& four(const View& view, size_t index) { return reinterpret_cast<Four*>(view.at)[index]; }
 
 // The frame before's state at a pixel, zero where it is not `valid`, and the depth of the nearest
 // pixel.
@@ -103,33 +131,39 @@ struct Recalled {
     float depth, valid;
 };
 
-// Bilinear between four numbers.
-__device__ inline float between(float a, float b, float c, float d, float tx, float ty) {
+// Bilinear between four numbers, or those of a plane.
+FN float between(float a, float b, float c, float d, float tx, float ty) {
     const float top = a + (b - a) * tx, bottom = c + (d - c) * tx;
     return top + (bottom - top) * ty;
 }
 
+FN float between(const View& plane, const Between& row, const Between& column) {
+    const float* const top = plane.at + row.first * plane.size[1];
+    const float* const bottom = plane.at + row.second * plane.size[1];
+    return between(top[column.first], top[column.second], bottom[column.first],
+                   bottom[column.second], column.share, row.share);
+}
+
 // Four channels of the state, bilinear between the pixels at four indices of such groups.
-__device__ inline Four recalled_four(const View& state, size_t a, size_t b, size_t c, size_t d,
-                                     float tx, float ty) {
+FN Four recalled_four(const View& state, size_t a, size_t b, size_t c, size_t d, float tx,
+                      float ty) {
     const Four p = four(state, a), q = four(state, b), r = four(state, c), s = four(state, d);
     return {between(p.x, q.x, r.x, s.x, tx, ty), between(p.y, q.y, r.y, s.y, tx, ty),
             between(p.z, q.z, r.z, s.z, tx, ty), between(p.w, q.w, r.w, s.w, tx, ty)};
 }
 
-__device__ inline Four scaled(const Four& value, float by) {
+FN Four scaled(const Four& value, float by) {
     return {value.x * by, value.y * by, value.z * by, value.w * by};
 }
 
 // Whether the history lacks more than a trace of a pixel, by the counts of its neighbours and their
 // weights.
-__device__ inline bool is_unknown(float a, float b, float c, float d, float tx, float ty) {
+FN bool is_unknown(float a, float b, float c, float d, float tx, float ty) {
     const float lacking = between(a <= 0.0f, b <= 0.0f, c <= 0.0f, d <= 0.0f, tx, ty);
     return lacking > UNKNOWN;
 }
 
-__device__ inline Recalled recall(const View& state, const View& last_depth, float px, float py,
-                                  float share) {
+FN Recalled recall(const View& state, const View& last_depth, float px, float py, float share) {
     const int h = last_depth.size[0], w = last_depth.size[1];
     const bool held = px >= -0.5f && px <= float(w) - 0.5f && py >= -0.5f && py <= float(h) - 0.5f;
     if (!held || share == 0.0f) return {{}, {}, {}, 1.0f, 0.0f};
@@ -155,19 +189,17 @@ struct alignas(16) Halves {
 };
 
 // A tensor in half precision, by eights.
-__device__ inline Halves* halves(const View& view) {
-    return reinterpret_cast<Halves*>(view.at);
-}
+FN Halves* halves(const View& view) { return reinterpret_cast<Halves*>(view.at); }
 
 // On the host tests put their own in place of the GPU's instructions.
 #ifdef __CUDACC_RTC__
-__device__ inline float from_half(unsigned short bits) {
+FN float from_half(unsigned short bits) {
     float value;
     asm("cvt.f32.f16 %0, %1;" : "=f"(value) : "h"(bits));
     return value;
 }
 
-__device__ inline unsigned short to_half(float value) {
+FN unsigned short to_half(float value) {
     unsigned short bits;
     asm("cvt.rn.f16.f32 %0, %1;" : "=h"(bits) : "f"(value));
     return bits;
@@ -175,19 +207,19 @@ __device__ inline unsigned short to_half(float value) {
 
 // A GPU's own functions, one instruction each, to about 2^-22; of log2_of absolute, between 1
 // and 2.
-__device__ inline float log2_of(float value) {
+FN float log2_of(float value) {
     float result;
     asm("lg2.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(value));
     return result;
 }
 
-__device__ inline float exp2_of(float value) {
+FN float exp2_of(float value) {
     float result;
     asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(value));
     return result;
 }
 
-__device__ inline float over_one(float value) {
+FN float over_one(float value) {
     float result;
     asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(value));
     return result;
@@ -196,7 +228,7 @@ __device__ inline float over_one(float value) {
 // What is so many numbers behind another one; the compiler does not know where, so it adds instead
 // of multiplying anew.
 template <class T>
-__device__ inline const T* behind(const T* at, size_t count) {
+FN const T* behind(const T* at, size_t count) {
     at += count;
     asm("" : "+l"(at));
     return at;
@@ -207,20 +239,18 @@ __device__ inline const T* behind(const T* at, size_t count) {
 // series.
 const float SMALL_NUMBER = 0.0625f, LOG2_E = 1.44269504f;
 
-__device__ inline float log1p_of(float x) {
+FN float log1p_of(float x) {
     const float series = x * (1.0f - x * (0.5f - x * (0.333333333f - x * (0.25f - x * 0.2f))));
     return x < SMALL_NUMBER ? series : log2_of(1.0f + x) * (1.0f / LOG2_E);
 }
 
-__device__ inline float expm1_of(float x) {
+FN float expm1_of(float x) {
     const float series = x * (1.0f + x * (0.5f + x * (0.166666667f + x * 0.0416666667f)));
     return x < SMALL_NUMBER ? series : exp2_of(x * LOG2_E) - 1.0f;
 }
 
 // log(1 + x) of an exposed colour in [0, 1e4].
-__device__ inline float log_encode(float exposed) {
-    return log1p_of(fminf(fmaxf(0.0f, exposed), MAX_COLOUR));
-}
+FN float log_encode(float exposed) { return log1p_of(fminf(fmaxf(0.0f, exposed), MAX_COLOUR)); }
 
 // Threads of a block, across and down, of kernels whose threads make pixels: PIXELS in
 // postfx/runtime/cuda.py.
@@ -233,17 +263,15 @@ __device__ inline float log_encode(float exposed) {
 const bool stages = true;
 
 template <class T>
-__device__ inline void put_row(T (&staged)[3 * ACROSS], const T (&own)[3], T* to, int count) {
+FN void put_row(T (&staged)[3 * ACROSS], const T (&own)[3], T* to, int count) {
     if (!stages) {
         for (int i = 0; i < 3; i++)
             if (3 * int(threadIdx.x) + i < count) to[3 * threadIdx.x + i] = own[i];
         return;
     }
-#pragma unroll
-    for (int i = 0; i < 3; i++) staged[3 * threadIdx.x + i] = own[i];
+    UNROLL for (int i = 0; i < 3; i++) staged[3 * threadIdx.x + i] = own[i];
     __syncwarp();
-#pragma unroll
-    for (int i = 0; i < 3; i++) {
+    UNROLL for (int i = 0; i < 3; i++) {
         const int at = i * ACROSS + threadIdx.x;
         if (at < count) to[at] = staged[at];
     }
@@ -251,11 +279,10 @@ __device__ inline void put_row(T (&staged)[3 * ACROSS], const T (&own)[3], T* to
 }
 
 // Two pixels beside each other, from an even one on, at (y, x) of a picture (height, width, 3).
-__device__ inline void put_beside(const float (&light)[6], const View& picture, int y, int x) {
+FN void put_beside(const float (&light)[6], const View& picture, int y, int x) {
     const int width = picture.size[1];
     const size_t at = 3 * (size_t(y) * width + x);
-#pragma unroll
-    for (int i = 0; i < 6; i += 2) {
+    UNROLL for (int i = 0; i < 6; i += 2) {
         if (width % 2 == 0) pair(picture, (at + i) / 2) = {light[i], light[i + 1]};
         else if (i < 3 || x + 1 < width) picture.at[at + i] = light[i];
         if (width % 2 && (i + 1 < 3 || x + 1 < width)) picture.at[at + i + 1] = light[i + 1];
@@ -264,8 +291,8 @@ __device__ inline void put_beside(const float (&light)[6], const View& picture, 
 
 // The same of each thread of a row, whose first one has (y, first): a warp writes them side by
 // side. The last threads may have what the one before them has.
-__device__ inline void put_pixels(Pair (&staged)[3 * ACROSS], const float (&light)[6],
-                                  const View& picture, int y, int x, int first) {
+FN void put_pixels(Pair (&staged)[3 * ACROSS], const float (&light)[6], const View& picture, int y,
+                   int x, int first) {
     const int width = picture.size[1];
     if (width % 2) return put_beside(light, picture, y, x);
     const Pair own[3] = {{light[0], light[1]}, {light[2], light[3]}, {light[4], light[5]}};
@@ -273,30 +300,23 @@ __device__ inline void put_pixels(Pair (&staged)[3 * ACROSS], const float (&ligh
             3 * (width - first) / 2);
 }
 
-// Heads are numbers in single precision, or bits of half precision.
+// Heads are numbers in single precision, or bits of half precision. Of a kernel that is a template
+// of `Number`, `read_source` in postfx/kernels/__init__.py makes both: `name` and `name_half`.
 typedef unsigned short Half;
 
-__device__ inline float as_float(float number) {
-    return number;
-}
+FN float as_float(float number) { return number; }
 
-__device__ inline float as_float(Half bits) {
-    return from_half(bits);
-}
+FN float as_float(Half bits) { return from_half(bits); }
 
 template <class Number>
-__device__ inline const Number* numbers(const View& view) {
-    return reinterpret_cast<const Number*>(view.at);
-}
+FN const Number* numbers(const View& view) { return reinterpret_cast<const Number*>(view.at); }
 
 // Activations of the network's heads: of filter weights, and of shares. NaN stays NaN.
-__device__ inline float weight_of(float logit) {
+FN float weight_of(float logit) {
     return expf(logit < -STEEPEST ? -STEEPEST : logit > STEEPEST ? STEEPEST : logit);
 }
 
-__device__ inline float gate_of(float logit) {
-    return 1.0f / (1.0f + expf(-logit));
-}
+FN float gate_of(float logit) { return 1.0f / (1.0f + expf(-logit)); }
 
 // postfx/kernels/colour.py: a matrix, then log2(1 + exposure * x / toe) * scale within [0, 1].
 struct Shaper {
@@ -304,13 +324,13 @@ struct Shaper {
     float matrix[9];
 };
 
-__device__ inline Shaper shaper(const View& params, const View& matrix) {
+FN Shaper shaper(const View& params, const View& matrix) {
     const float *const p = params.at, *const m = matrix.at;
     return {p[0] / p[1], exp2f(fminf(126.0f, 1.0f / p[2])) - 1.0f, p[2],
             {m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]}};
 }
 
-__device__ inline Colour shaped(const Shaper& by, const float* colour) {
+FN Colour shaped(const Shaper& by, const float* colour) {
     const float r = clamped(colour[0], -BRIGHTEST, BRIGHTEST),
                 g = clamped(colour[1], -BRIGHTEST, BRIGHTEST);
     const float b = clamped(colour[2], -BRIGHTEST, BRIGHTEST), *const m = by.matrix;
@@ -326,7 +346,7 @@ __device__ inline Colour shaped(const Shaper& by, const float* colour) {
 // postfx/kernels/colour.py: tetrahedral look-up of a shaped colour, clipped to [0, 1], in a cube
 // (size, size, size, 3), or with fours of NUMBERS, which are read at once.
 template <int NUMBERS = 3>
-__device__ inline Colour looked_up(const View& cube, const Colour& shaped) {
+FN Colour looked_up(const View& cube, const Colour& shaped) {
     const int size = cube.size[0], end = size - 2, red = size * size, green = size, blue = 1;
     float r = clamped(shaped.r, 0.0f, 1.0f) * (size - 1),
           g = clamped(shaped.g, 0.0f, 1.0f) * (size - 1);
@@ -343,8 +363,7 @@ __device__ inline Colour looked_up(const View& cube, const Colour& shaped) {
     const int corners[4] = {first, first + step, fourth - last, fourth};
     const float weights[4] = {1.0f - high, high - middle, middle - low, low};
     Colour found[4];
-#pragma unroll
-    for (int n = 0; n < 4; n++) {
+    UNROLL for (int n = 0; n < 4; n++) {
         const float* const at = cube.at + NUMBERS * corners[n];
         if (NUMBERS == 4) {
             const Four all = four(cube, corners[n]);
@@ -362,15 +381,12 @@ __device__ inline Colour looked_up(const View& cube, const Colour& shaped) {
 }
 
 // How much a sample says about an output pixel at a distance in render pixels.
-__device__ inline float gauss(float distance) {
-    return exp2_of(-2.0f * LOG2_E * distance * distance);
-}
+FN float gauss(float distance) { return exp2_of(-2.0f * LOG2_E * distance * distance); }
 
 // A head's value at an output pixel from its first of four planes, one for each quarter-pixel
 // corner of a render pixel, linear between them, `right` and `lower` from the first.
 template <class Number>
-__device__ inline float between_corners(const Number* first, size_t plane, float right,
-                                        float lower) {
+FN float between_corners(const Number* first, size_t plane, float right, float lower) {
     const float above = as_float(first[0]), beside = as_float(first[plane]);
     const float before = above + (as_float(first[2 * plane]) - above) * lower;
     const float after = beside + (as_float(first[3 * plane]) - beside) * lower;
@@ -378,7 +394,7 @@ __device__ inline float between_corners(const Number* first, size_t plane, float
 }
 
 // The four weights of cubic convolution with a = -0.75, the ONNX GridSample and OpenCV default.
-__device__ inline Four cubic_weights(float t) {
+FN Four cubic_weights(float t) {
     const float a = -0.75f, u = t + 1.0f, v = 1.0f - t, s = 2.0f - t;
     return {((a * u - 5.0f * a) * u + 8.0f * a) * u - 4.0f * a,
             ((a + 2.0f) * t - (a + 3.0f)) * t * t + 1.0f,
@@ -387,7 +403,7 @@ __device__ inline Four cubic_weights(float t) {
 }
 
 // Four pixels of a row, weighted; `columns` are those of their first channels.
-__device__ inline Colour row_of(const float* row, const int (&columns)[4], const Four& weights) {
+FN Colour row_of(const float* row, const int (&columns)[4], const Four& weights) {
     const float* p = row + columns[0];
     const float* q = row + columns[1];
     const float* r = row + columns[2];
@@ -398,8 +414,8 @@ __device__ inline Colour row_of(const float* row, const int (&columns)[4], const
 }
 
 // Four rows, weighted.
-__device__ inline Colour column_of(const Colour& first, const Colour& second, const Colour& third,
-                                   const Colour& last, const Four& weights) {
+FN Colour column_of(const Colour& first, const Colour& second, const Colour& third,
+                    const Colour& last, const Four& weights) {
     return {weights.x * first.r + weights.y * second.r + weights.z * third.r + weights.w * last.r,
             weights.x * first.g + weights.y * second.g + weights.z * third.g + weights.w * last.g,
             weights.x * first.b + weights.y * second.b + weights.z * third.b + weights.w * last.b};
@@ -413,7 +429,7 @@ struct Before {
 };
 
 // The same of a pixel of the frame's output.
-__device__ inline Before before_of(int y, int x, const Window& part, const View& moved) {
+FN Before before_of(int y, int x, const Window& part, const View& moved) {
     const int height = part.height, width = part.width;
     const unsigned h = part.h, w = part.w, v = unsigned(y), u = unsigned(x);
     // The render pixel that holds this pixel's centre.
@@ -433,8 +449,7 @@ struct Size {
 };
 
 // A picture (height, width, 3) where a pixel was before, bicubic, edge repeated.
-__device__ inline Colour moved_picture(const float* picture, const Size& size,
-                                       const Before& before) {
+FN Colour moved_picture(const float* picture, const Size& size, const Before& before) {
     const int height = size.height, width = size.width, top = before.top, left = before.left;
     const int columns[4] = {3 * clip(left, width), 3 * clip(left + 1, width),
                             3 * clip(left + 2, width), 3 * clip(left + 3, width)};
@@ -448,9 +463,7 @@ __device__ inline Colour moved_picture(const float* picture, const Size& size,
 }
 
 // What is not finite counts as 0.
-__device__ inline float finite(float value) {
-    return fabsf(value) <= LARGEST_FLOAT ? value : 0.0f;
-}
+FN float finite(float value) { return fabsf(value) <= LARGEST_FLOAT ? value : 0.0f; }
 
 struct Cubic {
     float weight[4];
@@ -459,7 +472,7 @@ struct Cubic {
 
 // The four taps around a position and their weights (Keys 1981, a = -0.5); only their constant
 // indices are used.
-__device__ inline Cubic cubic(float position, int size) {
+FN Cubic cubic(float position, int size) {
     const float first = floorf(position), t = position - first;
     const int before = int(first) - 1;
     return {{((-0.5f * t + 1.0f) * t - 0.5f) * t, (1.5f * t - 2.5f) * t * t + 1.0f,
@@ -470,16 +483,14 @@ __device__ inline Cubic cubic(float position, int size) {
 
 // One pixel of an image (h, w, channels) by cubic interpolation, held within the four nearest
 // samples.
-__device__ inline void resampled(const View& image, int channels, const Cubic& down,
-                                 const Cubic& across, float* result) {
+FN void resampled(const View& image, int channels, const Cubic& down, const Cubic& across,
+                  float* result) {
     const float* row[4];
-#pragma unroll
-    for (int j = 0; j < 4; j++)
+    UNROLL for (int j = 0; j < 4; j++)
         row[j] = image.at + size_t(down.index[j]) * image.size[1] * channels;
     for (int k = 0; k < channels; k++) {
         float sum = 0.0f, least = LARGEST_FLOAT, most = -LARGEST_FLOAT;
-#pragma unroll
-        for (int i = 0; i < 4; i++) {
+        UNROLL for (int i = 0; i < 4; i++) {
             const int at = across.index[i] * channels + k;
             const float before = finite(row[0][at]), upper = finite(row[1][at]),
                         lower = finite(row[2][at]);
@@ -495,7 +506,7 @@ __device__ inline void resampled(const View& image, int channels, const Cubic& d
 }
 
 // Light in front, premultiplied by its coverage, over what is behind.
-__device__ inline float over(float front, float alpha, float behind) {
+FN float over(float front, float alpha, float behind) {
     return finite(front) + (1.0f - alpha) * finite(behind);
 }
 
@@ -505,48 +516,46 @@ struct Path {
     float ax, ay, bx, by, first, last;
 };
 
-__device__ inline Path path_of(const View& cells, int cell) {
+FN Path path_of(const View& cells, int cell) {
     const Four p = four(cells, 2 * size_t(cell));
     const Pair q = pair(cells, 4 * size_t(cell) + 2);
     return {p.x, p.y, p.z, p.w, q.x, q.y};
 }
 
-__device__ inline void put_path(const View& cells, int cell, const Path& path) {
+FN void put_path(const View& cells, int cell, const Path& path) {
     four(cells, 2 * size_t(cell)) = {path.ax, path.ay, path.bx, path.by};
     pair(cells, 4 * size_t(cell) + 2) = {path.first, path.last};
 }
 
 // Whether paths lead to other places, by so many pixels.
-__device__ inline bool differ(const Path& one, const Path& other, float by) {
+FN bool differ(const Path& one, const Path& other, float by) {
     return fabsf(one.ax - other.ax) > by || fabsf(one.ay - other.ay) > by
            || fabsf(one.bx - other.bx) > by || fabsf(one.by - other.by) > by;
 }
 
 // A path of one frame's side, in pixels: that frame shows it, the other one if most paths that
 // arrived are seen.
-__device__ inline Path side_path(const Four& path, float is_seen, bool is_last, float scale) {
+FN Path side_path(const Four& path, float is_seen, bool is_last, float scale) {
     return {scale * path.x, scale * path.y,           scale * path.z,
             scale * path.w, is_last ? is_seen : 1.0f, is_last ? 1.0f : is_seen};
 }
 
-__device__ inline float most_apart(const Path& one, const Path& other) {
+FN float most_apart(const Path& one, const Path& other) {
     return fmaxf(fmaxf(fabsf(one.ax - other.ax), fabsf(one.ay - other.ay)),
                  fmaxf(fabsf(one.bx - other.bx), fabsf(one.by - other.by)));
 }
 
 // Whether a place is in a picture.
-__device__ inline bool is_inside(int h, int w, float y, float x) {
+FN bool is_inside(int h, int w, float y, float x) {
     return x > -0.5f && y > -0.5f && x < float(w) - 0.5f && y < float(h) - 0.5f;
 }
 
 // Sum over eight lanes that work on one thing, in all of them.
-__device__ inline float sum_of_eight(float value) {
+FN float sum_of_eight(float value) {
     for (int mask = 4; mask; mask /= 2)
         value += __shfl_xor_sync(0xffu << (threadIdx.x & 24), value, mask);
     return value;
 }
 
 // What the lane to the left of eight has.
-__device__ inline float left_lane(float value) {
-    return __shfl_up_sync(0xffu << (threadIdx.x & 24), value, 1, 8);
-}
+FN float left_lane(float value) { return __shfl_up_sync(0xffu << (threadIdx.x & 24), value, 1, 8); }

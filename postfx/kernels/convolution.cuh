@@ -8,16 +8,14 @@
 // lies in shared memory with its border, by 8 channels; a tap's products begin at another pixel of
 // it, so nothing is copied for them.
 
-__device__ inline const Eight* eights(const View& view) {
-    return reinterpret_cast<const Eight*>(view.at);
-}
+FN const Eight* eights(const View& view) { return reinterpret_cast<const Eight*>(view.at); }
 
-__device__ inline Eight sum(const Eight& a, const Eight& b) {
+FN Eight sum(const Eight& a, const Eight& b) {
     return {{sum(a.at[0], b.at[0]), sum(a.at[1], b.at[1]), sum(a.at[2], b.at[2]),
              sum(a.at[3], b.at[3])}};
 }
 
-__device__ inline Eight larger(const Eight& a, const Eight& b) {
+FN Eight larger(const Eight& a, const Eight& b) {
     return {{larger(a.at[0], b.at[0]), larger(a.at[1], b.at[1]), larger(a.at[2], b.at[2]),
              larger(a.at[3], b.at[3])}};
 }
@@ -28,22 +26,18 @@ struct Square {
     static constexpr int ACROSS = WIDE ? 32 : 8, DOWN = 64 / ACROSS;
     int number, wide, all, height, width;
 
-    __device__ inline Square(int number, int height, int width)
+    FN Square(int number, int height, int width)
         : number(number),
           wide((width + ACROSS - 1) / ACROSS),
           all(wide * ((height + DOWN - 1) / DOWN)),
           height(height),
           width(width) {}
 
-    __device__ inline int row() const {
-        return number / wide * DOWN;
-    }
+    FN int row() const { return number / wide * DOWN; }
 
-    __device__ inline int column() const {
-        return number % wide * ACROSS;
-    }
+    FN int column() const { return number % wide * ACROSS; }
 
-    __device__ inline bool holds(int y, int x) const {
+    FN bool holds(int y, int x) const {
         return number < all && y >= 0 && x >= 0 && y < height && x < width;
     }
 };
@@ -62,8 +56,8 @@ __device__ constexpr int pitch_of(int taps) {
 // together. Sums with what is enlarged are there at the end, a few of which are on their way at a
 // time.
 template <int TAPS, bool CELLS, bool COARSE, int CHUNKS, bool WIDE>
-__device__ inline void fill(char* left, int thread, const Square<WIDE>& square, const View& input,
-                            const View& coarse) {
+FN void fill(char* left, int thread, const Square<WIDE>& square, const View& input,
+             const View& coarse) {
     constexpr int SIDE = WIDE ? Square<WIDE>::ACROSS : side_of(TAPS), BEFORE = TAPS == 3,
                   EACH = CHUNKS / 4, MANY = 3;
     constexpr int ALL = side_of(TAPS) * side_of(TAPS) * CHUNKS;
@@ -88,11 +82,9 @@ __device__ inline void fill(char* left, int thread, const Square<WIDE>& square, 
         }
         return;
     }
-#pragma unroll 1
-    for (int first = thread; first < ALL; first += MANY * GROUP) {
+    AS_IT_IS for (int first = thread; first < ALL; first += MANY * GROUP) {
         Eight own[MANY], more[MANY];
-#pragma unroll
-        for (int k = 0; k < MANY; k++) {
+        UNROLL for (int k = 0; k < MANY; k++) {
             const int i = first + k * GROUP, chunk = i % CHUNKS, pixel = i / CHUNKS;
             const int y = square.row() + pixel / SIDE - BEFORE,
                       x = square.column() + pixel % SIDE - BEFORE;
@@ -101,8 +93,7 @@ __device__ inline void fill(char* left, int thread, const Square<WIDE>& square, 
             own[k] = pixels[(size_t(y) * square.width + x) * CHUNKS + chunk];
             more[k] = eights(coarse)[(size_t(y / 2) * coarse.size[2] + x / 2) * CHUNKS + chunk];
         }
-#pragma unroll
-        for (int k = 0; k < MANY; k++)
+        UNROLL for (int k = 0; k < MANY; k++)
             if (first + k * GROUP < ALL)
                 *reinterpret_cast<Eight*>(place(first + k * GROUP)) = sum(own[k], more[k]);
     }
@@ -116,11 +107,10 @@ struct Options {
 
 // Each of four lanes next to each other has two channels of four eights; the q-th one gets all of
 // the q-th eight.
-__device__ inline Eight whole_eight(const Two (&parts)[4], int q) {
+FN Eight whole_eight(const Two (&parts)[4], int q) {
     const bool odd = q % 2, late = q / 2;
     Two low[2], high[2];  // the first and the last half of eights q % 2 and q % 2 + 2
-#pragma unroll
-    for (int i = 0; i < 2; i++) {
+    UNROLL for (int i = 0; i < 2; i++) {
         const Two first = parts[2 * i], second = parts[2 * i + 1];
         const Two own = odd ? second : first, other = from_lane(odd ? first : second, 1);
         low[i] = odd ? other : own, high[i] = odd ? own : other;
@@ -134,7 +124,7 @@ __device__ inline Eight whole_eight(const Two (&parts)[4], int q) {
 // exact as half precision. The channel is one of the eight from FIRST on, so it is mostly known
 // when compiled which one.
 template <int FIRST, int SHARES, int STATES>
-__device__ inline float activated(float sum, float offset, int channel) {
+FN float activated(float sum, float offset, int channel) {
     const float to_two = 1.44269504f;  // exp(x) is 2 to the power of x * to_two
     if (FIRST + 8 <= SHARES || (FIRST < SHARES && channel < SHARES)) {
         // from -STEEPEST to STEEPEST as 0 to 1
@@ -152,14 +142,13 @@ __device__ inline float activated(float sum, float offset, int channel) {
 // `apart`, that are there, and with OUT 2 of each its left and right part, which are RIGHT eights
 // apart.
 template <int FIRST, int EIGHTS, int OUT, int RIGHT, int PLANES, int SHARES, int STATES, int COUNT>
-__device__ inline void write_planes(const float (&sums)[COUNT], const Pair* offsets, Half* to,
-                                    size_t plane, int apart, const bool (&there)[2]) {
+FN void write_planes(const float (&sums)[COUNT], const Pair* offsets, Half* to, size_t plane,
+                     int apart, const bool (&there)[2]) {
     const int q = threadIdx.x % 4, own = 2 * q;
     if constexpr (EIGHTS > 0 && FIRST < PLANES) {
         constexpr int AT = COUNT - 4 * (EIGHTS + RIGHT);  // its sums
         const Pair one = offsets[0], two = offsets[4 * RIGHT];
-#pragma unroll
-        for (int i = 0; i < 4; i++) {
+        UNROLL for (int i = 0; i < 4; i++) {
             const int e = i % 2, channel = FIRST + own + e;
             Half* const place = to + e * plane + i / 2 * apart;
             const bool writes = there[i / 2] && (FIRST + 8 <= PLANES || channel < PLANES);
@@ -197,9 +186,9 @@ __device__ inline void write_planes(const float (&sums)[COUNT], const Pair* offs
 // weights side by side.
 template <int TAPS, bool CELLS, bool COARSE, int C, int N, int SLOTS, int OUT, int PLANES,
           int SHARES, int STATES>
-__device__ inline void convolve(const View& input, const View& coarse, const View& weights,
-                                const View& bias, const View& added, const View& output,
-                                const View& second, const Options& options) {
+FN void convolve(const View& input, const View& coarse, const View& weights, const View& bias,
+                 const View& added, const View& output, const View& second,
+                 const Options& options) {
     SHARED_MEMORY;
     constexpr int CHUNKS = C / 8, SIDE = side_of(TAPS), PITCH = pitch_of(TAPS),
                   WEIGHTS = TAPS * TAPS * C * N * 2;
@@ -250,22 +239,18 @@ __device__ inline void convolve(const View& input, const View& coarse, const Vie
     bool first = !SLOTS && square.all > 2 * apart;
     while ((SLOTS ? square.number - group * blocks : square.number) < square.all) {
         float sums[N / 2];
-#pragma unroll
-        for (int i = 0; i < N / 2; i++) sums[i] = 0.0f;
+        UNROLL for (int i = 0; i < N / 2; i++) sums[i] = 0.0f;
         // A warp has 16 pixels.
         Two own[EARLY ? 2 : 1][AT_ONCE][4];
         auto load = [&](Two (&to)[AT_ONCE][4], int tap, int step) {
             const int pixel = (2 * warp + lane / 8 % 2 + tap / TAPS) * SIDE + lane % 8 + tap % TAPS;
             const char* const pixels = left + 16 * pixel + (2 * step * AT_ONCE + lane / 16) * PITCH;
-#pragma unroll
-            for (int k = 0; k < AT_ONCE; k++) load_matrices(to[k], pixels + 2 * k * PITCH);
+            UNROLL for (int k = 0; k < AT_ONCE; k++) load_matrices(to[k], pixels + 2 * k * PITCH);
         };
         if (first && group) take_turn(group);
         if (EARLY) load(own[0], 0, 0);
-#pragma unroll 1
-        for (int tap = 0; tap < TAPS * TAPS; tap++) {
-#pragma unroll
-            for (int step = 0; step < STEPS; step++) {
+        AS_IT_IS for (int tap = 0; tap < TAPS * TAPS; tap++) {
+            UNROLL for (int step = 0; step < STEPS; step++) {
                 // steps that share a part of the weights
                 constexpr int HALF = SLOTS ? STEPS / 2 : 1;
                 const bool enters = SLOTS && step % HALF == 0,
@@ -277,8 +262,7 @@ __device__ inline void convolve(const View& input, const View& coarse, const Vie
                                                       + step % HALF * AT_ONCE * N * 32
                                                 : shared + (tap * STEPS + step) * AT_ONCE * N * 32;
                 begin_products();
-#pragma unroll
-                for (int k = 0; k < AT_ONCE; k++)
+                UNROLL for (int k = 0; k < AT_ONCE; k++)
                     multiply(sums, own[now][k], matrices(right + k * N * 32, N * 16, 128));
                 if (EARLY) {
                     end_products_before(own[1 - now]);
@@ -333,15 +317,13 @@ __device__ inline void convolve(const View& input, const View& coarse, const Vie
         }
         if constexpr (OUT < 2) {
             Two results[2][N / 8];
-#pragma unroll
-            for (int n = 0; n < N / 8; n++) {
+            UNROLL for (int n = 0; n < N / 8; n++) {
                 const Pair offset = offsets[4 * n];
                 Two last = 0;
                 if (added.size[0])
                     last = rounded(added.at[begin + 8 * n + 2 * q],
                                    added.at[begin + 8 * n + 2 * q + 1]);
-#pragma unroll
-                for (int k = 0; k < 2; k++) {
+                UNROLL for (int k = 0; k < 2; k++) {
                     const float one = sums[4 * n + 2 * k] + offset.x,
                                 two = sums[4 * n + 2 * k + 1] + offset.y;
                     const Two both = options.positive ? rounded(fmaxf(one, 0.0f), fmaxf(two, 0.0f))
@@ -352,16 +334,15 @@ __device__ inline void convolve(const View& input, const View& coarse, const Vie
             Eight* const to = reinterpret_cast<Eight*>(output.at);
             Eight* const others = reinterpret_cast<Eight*>(second.at);
             const int all = split ? split / 8 : tiles * (N / 8), rest = second.size[3] / 8;
-#pragma unroll
-            for (int n = 0; n < N / 8; n += 4) {
+            UNROLL for (int n = 0; n < N / 8; n += 4) {
                 const int eight = begin / 8 + n + q;
                 const bool own[2] = {there[0] && n + q < N / 8, there[1] && n + q < N / 8};
                 if (OUT && (!split || begin + 8 * (n + 4) <= split)) continue;
-#pragma unroll
-                for (int k = 0; k < 2; k++) {
+                UNROLL for (int k = 0; k < 2; k++) {
                     Two parts[4];
-#pragma unroll
-                    for (int i = 0; i < 4; i++) parts[i] = n + i < N / 8 ? results[k][n + i] : 0;
+                    UNROLL for (int i = 0; i < 4; i++) {
+                        parts[i] = n + i < N / 8 ? results[k][n + i] : 0;
+                    }
                     const Eight value = whole_eight(parts, q);
                     const size_t at = size_t(y + BELOW * k) * done.width + x + ASIDE * k;
                     if (!own[k]) continue;
@@ -370,8 +351,7 @@ __device__ inline void convolve(const View& input, const View& coarse, const Vie
                 }
                 if (split || !rest) continue;
                 Two most[4];
-#pragma unroll
-                for (int i = 0; i < 4; i++) {
+                UNROLL for (int i = 0; i < 4; i++) {
                     most[i] = n + i < N / 8 ? larger(results[0][n + i], results[1][n + i]) : 0;
                     most[i] = larger(most[i], from_lane(most[i], 4));
                 }

@@ -81,9 +81,8 @@ struct Resampler {
         const Long count = w * channels, first = MARGIN * channels, end = first + count;
         const float* from = image(row);
         float* to = line(row);
-        across(0, count, PIXELS(auto one, Long i) {
-            store<decltype(one)>(to + first + i,
-                                 finite<decltype(one)>(load<decltype(one)>(from + i)));
+        across(0, count, EACH(F, Long i) {
+            store<F>(to + first + i, finite<F>(load<F>(from + i)));
         });
         for (Long i = 0; i < first; i++) {
             to[i] = to[first + i % channels];
@@ -104,16 +103,14 @@ struct Resampler {
             numbers[near[j] % TAPS] = near[j];
             lines[j] = line(near[j]);
         }
-        across(0, size, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
+        across(0, size, EACH(F, Long i) {
             store<F>(value + i, sum_of_taps<F>(taps, load<F>(lines[0] + i), load<F>(lines[1] + i),
                                                load<F>(lines[2] + i), load<F>(lines[3] + i)));
         });
         if (bounded[0] == near[1] && bounded[1] == near[2]) return;
         bounded[0] = near[1];
         bounded[1] = near[2];
-        across(0, size - channels, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
+        across(0, size - channels, EACH(F, Long i) {
             const float *upper = lines[1] + i, *lower = lines[2] + i;
             const F b = load<F>(upper), c = load<F>(lower), next_b = load<F>(upper + channels),
                     next_c = load<F>(lower + channels);
@@ -131,8 +128,7 @@ struct Resampler {
     // Both of two columns from the same numbers; those of the second begin `LATER` pixels after.
     template <int LATER> FN_MEMBER void find_twice(Long left, const Taps* taps) const {
         const Long first = channels * (MARGIN + left - 1), one_more = channels;
-        across(0, w * channels, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
+        across(0, w * channels, EACH(F, Long i) {
             const float *at = value + first + i, *under = least + first + one_more + i,
                         *over = most + first + one_more + i;
             const F a = load<F>(at), b = load<F>(at + one_more), c = load<F>(at + 2 * one_more),
@@ -158,18 +154,17 @@ struct Resampler {
         if (lefts[1] == lefts[0]) find_twice<0>(lefts[0], taps);
         else find_twice<1>(lefts[0], taps);
         if (channels == 1) {
-            across(0, w, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(0, w, EACH(F, Long x) {
                 store_pairs<F>(out + 2 * x, load<F>(sides[0] + x), load<F>(sides[1] + x));
             });
         } else if (channels == 3) {
-            across(0, w, PIXELS(auto one, Long x) {
-                interleave_triples<decltype(one)>(out + 6 * x, sides[0] + 3 * x, sides[1] + 3 * x);
+            across(0, w, EACH(F, Long x) {
+                interleave_triples<F>(out + 6 * x, sides[0] + 3 * x, sides[1] + 3 * x);
             });
         } else {
             for (Long x = 0; x < w; x++) {
-                put(out, 2 * x, four_at(sides[0] + channels * x), sides[0] + channels * x);
-                put(out, 2 * x + 1, four_at(sides[1] + channels * x), sides[1] + channels * x);
+                put(out, 2 * x, load<Four>(sides[0] + channels * x), sides[0] + channels * x);
+                put(out, 2 * x + 1, load<Four>(sides[1] + channels * x), sides[1] + channels * x);
             }
         }
     }
@@ -179,15 +174,14 @@ struct Resampler {
         float* to = out + channels * x;
         const bool whole = channels == 4 || (channels == 3 && x + 1 < width);
         if (whole) {
-            __builtin_memcpy(to, &pixel, sizeof pixel);
+            store(to, pixel);
         } else {
             for (Long k = 0; k < channels; k++) to[k] = k < 4 ? pixel[k] : numbers[k];
         }
     }
     void put_anyhow(float* out) const {
         if (channels == 1) {
-            across(0, width, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(0, width, EACH(F, Long x) {
                 const int* at = index.at + x;
                 const auto weighed = PIXELS(int tap) {
                     return load<F>(weights.at + tap * width + x) * gather<F>(value + tap, at);
@@ -203,9 +197,9 @@ struct Resampler {
             for (int i = 0; i < TAPS; i++) taps.at[i] = weights.at[i * width + x];
             const Long a = index.at[x], b = a + channels, c = b + channels, d = c + channels;
             if (channels <= 4) {
-                put(out, x, sample<Four>(taps, four_at(value + a), four_at(value + b),
-                                         four_at(value + c), four_at(value + d),
-                                         four_at(least + b), four_at(most + b)), nullptr);
+                put(out, x, sample<Four>(taps, load<Four>(value + a), load<Four>(value + b),
+                                         load<Four>(value + c), load<Four>(value + d),
+                                         load<Four>(least + b), load<Four>(most + b)), nullptr);
                 continue;
             }
             for (Long k = 0; k < channels; k++) {
@@ -218,8 +212,8 @@ struct Resampler {
     // A row that is one of the picture's own.
     void copy(Long row, float* out) const {
         const float* from = image(row);
-        across(0, w * channels, PIXELS(auto one, Long i) {
-            store<decltype(one)>(out + i, finite<decltype(one)>(load<decltype(one)>(from + i)));
+        across(0, w * channels, EACH(F, Long i) {
+            store<F>(out + i, finite<F>(load<F>(from + i)));
         });
     }
     void put_row(Long y, float* out) {
@@ -261,7 +255,7 @@ static Status enlarge_rows(Long first, Long last, Picture image, Places rows, Pl
             below = clip(at + 1, h);
             const float infinite = __builtin_inff();
             for (Long x = 0; x < w; x++) {
-                const Four upper = four_at(image(above, x)), lower = four_at(image(below, x));
+                const Four upper = load<Four>(image(above, x)), lower = load<Four>(image(below, x));
                 bounds.at[2 * x] =
                     smaller_four(straight(upper, infinite), straight(lower, infinite));
                 bounds.at[2 * x + 1] = larger_four(straight(upper, -infinite),
@@ -272,93 +266,79 @@ static Status enlarge_rows(Long first, Long last, Picture image, Places rows, Pl
             const Long left = floor_to_whole(columns.at[x]);
             const Four* one = bounds.at + 2 * clip(left, w);
             const Four* other = bounds.at + 2 * clip(left + 1, w);
-            const Four pixel = held(four_at(out + 4 * x), smaller_four(one[0], other[0]),
+            const Four pixel = held(load<Four>(out + 4 * x), smaller_four(one[0], other[0]),
                                     larger_four(one[1], other[1]));
-            __builtin_memcpy(out + 4 * x, &pixel, sizeof pixel);
+            store(out + 4 * x, pixel);
         }
     }
     return DONE;
 }
 EXPORT(overlay_enlarge, enlarge_rows)
 
-static void over_rows(Long first, Long last, Picture overlay, Picture colour, NewPicture output) {
-    for (Long y = first; y < last; y++) {
-        const float *front = overlay(y), *behind = colour(y);
-        float* out = output(y);
-        across(0, output.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
-            const F alpha = pick<F, 4>(front + 4 * x + 3);
-            F found[3];
-            for (int c = 0; c < 3; c++) {
-                found[c] =
-                    over<F>(pick<F, 4>(front + 4 * x + c), alpha, pick<F, 3>(behind + 3 * x + c));
-            }
-            store_triples<F>(out + 3 * x, found[0], found[1], found[2]);
-        });
-    }
+static void over_row(Long y, Picture overlay, Picture colour, NewPicture output) {
+    const float *front = overlay(y), *behind = colour(y);
+    float* out = output(y);
+    across(0, output.size[1], EACH(F, Long x) {
+        const F alpha = pick<F, 4>(front + 4 * x + 3);
+        F found[3];
+        for (int c = 0; c < 3; c++) {
+            found[c] =
+                over<F>(pick<F, 4>(front + 4 * x + c), alpha, pick<F, 3>(behind + 3 * x + c));
+        }
+        store_triples<F>(out + 3 * x, found[0], found[1], found[2]);
+    });
 }
-EXPORT(overlay_over, over_rows)
+EXPORT(overlay_over, over_row)
 
-static void over_alpha_rows(Long first, Long last, Picture overlay, Picture alpha,
-                            NewPicture output) {
-    for (Long y = first; y < last; y++) {
-        const float *front = overlay(y), *behind = alpha(y);
-        float* out = output(y);
-        across(0, output.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
-            const F covered = within<F>(known<F>(pick<F, 4>(front + 4 * x + 3)), 0.0f, 1.0f);
-            store<F>(out + x, over<F>(covered, covered, load<F>(behind + x)));
-        });
-    }
+static void over_alpha_row(Long y, Picture overlay, Picture alpha, NewPicture output) {
+    const float *front = overlay(y), *behind = alpha(y);
+    float* out = output(y);
+    across(0, output.size[1], EACH(F, Long x) {
+        const F covered = within<F>(known<F>(pick<F, 4>(front + 4 * x + 3)), 0.0f, 1.0f);
+        store<F>(out + x, over<F>(covered, covered, load<F>(behind + x)));
+    });
 }
-EXPORT(overlay_over_alpha, over_alpha_rows)
+EXPORT(overlay_over_alpha, over_alpha_row)
 
 // Greys of cells where both numbers are equal, and of the others.
 struct Greys {
     float equal, other;
 };
-static void checkerboard_rows(Long first, Long last, Places rows, Places columns,
-                              Given<Greys> greys, NewPicture output) {
-    for (Long y = first; y < last; y++) {
-        float* out = output(y);
-        const float row = rows.at[y];
-        across(0, columns.size[0], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
-            const F grey = load<F>(columns.at + x) == row ? F(greys->equal) : F(greys->other);
-            store_triples<F>(out + 3 * x, grey, grey, grey);
-        });
-    }
+static void checkerboard_row(Long y, Places rows, Places columns, Given<Greys> greys,
+                             NewPicture output) {
+    float* out = output(y);
+    const float row = rows.at[y];
+    across(0, columns.size[0], EACH(F, Long x) {
+        const F grey = load<F>(columns.at + x) == row ? F(greys->equal) : F(greys->other);
+        store_triples<F>(out + 3 * x, grey, grey, grey);
+    });
 }
-EXPORT(checkerboard, checkerboard_rows)
+EXPORT(checkerboard, checkerboard_row)
 
 // Largest difference of a channel between points now and a picture before, bilinear at places,
 // which are brought to its edge; and whether they lie in it.
-static void compare_rows(Long first, Long last, Picture before, View<const float, 2> now,
-                         View<const float, 2> across, View<const float, 2> down,
-                         View<float, 2> apart, View<byte, 2> inside) {
+static void compare_row(Long n, Picture before, View<const float, 2> now,
+                        View<const float, 2> across, View<const float, 2> down,
+                        View<float, 2> apart, View<byte, 2> inside) {
     const Long height = before.size[0], width = before.size[1], channels = before.size[2];
     const float last_x = float(width - 1), last_y = float(height - 1);
-    for (Long n = first; n < last; n++) {
-        for (Long p = 0; p < across.size[1]; p++) {
-            const float at_x = across(n)[p], at_y = down(n)[p];
-            inside(n)[p] = at_x >= 0.0f && at_x <= last_x && at_y >= 0.0f && at_y <= last_y;
-            const float x = within<float>(at_x, 0.0f, last_x),
-                        y = within<float>(at_y, 0.0f, last_y);
-            const Long left = clip(Long(x), width > 1 ? width - 1 : 1);
-            const Long top = clip(Long(y), height > 1 ? height - 1 : 1);
-            const Long right = clip(left + 1, width), bottom = clip(top + 1, height);
-            const float u = x - float(left), v = y - float(top);
-            const float *a = before(top, left), *b = before(top, right);
-            const float *c = before(bottom, left), *d = before(bottom, right);
-            float largest = 0.0f;
-            for (Long k = 0; k < channels; k++) {
-                const float upper = a[k] * (1.0f - u) + b[k] * u,
-                            lower = c[k] * (1.0f - u) + d[k] * u;
-                const float off = upper * (1.0f - v) + lower * v - now(p)[k];
-                largest = larger<float>(size_of<float>(off), largest);
-            }
-            apart(n)[p] = largest;
+    for (Long p = 0; p < across.size[1]; p++) {
+        const float at_x = across(n)[p], at_y = down(n)[p];
+        inside(n)[p] = at_x >= 0.0f && at_x <= last_x && at_y >= 0.0f && at_y <= last_y;
+        const float x = within<float>(at_x, 0.0f, last_x), y = within<float>(at_y, 0.0f, last_y);
+        const Long left = clip(Long(x), width > 1 ? width - 1 : 1);
+        const Long top = clip(Long(y), height > 1 ? height - 1 : 1);
+        const Long right = clip(left + 1, width), bottom = clip(top + 1, height);
+        const float u = x - float(left), v = y - float(top);
+        const float *a = before(top, left), *b = before(top, right);
+        const float *c = before(bottom, left), *d = before(bottom, right);
+        float largest = 0.0f;
+        for (Long k = 0; k < channels; k++) {
+            const float upper = a[k] * (1.0f - u) + b[k] * u, lower = c[k] * (1.0f - u) + d[k] * u;
+            const float off = upper * (1.0f - v) + lower * v - now(p)[k];
+            largest = larger<float>(size_of<float>(off), largest);
         }
+        apart(n)[p] = largest;
     }
 }
-EXPORT(compare_places, compare_rows)
+EXPORT(compare_places, compare_row)

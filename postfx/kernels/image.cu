@@ -6,13 +6,12 @@ struct Cubics {
     int index[5], behind;
 };
 
-__device__ inline Cubics cubics(const View& places, int at, int size) {
+FN Cubics cubics(const View& places, int at, int size) {
     const float first = places.at[at], second = places.at[min(at + 1, places.size[0] - 1)];
     const Cubic one = cubic(first, size), two = cubic(second, size);
     const int before = int(floorf(first)) - 1;
     Cubics found = {{{}, {}}, {}, int(floorf(second)) - 1 - before};
-#pragma unroll
-    for (int i = 0; i < 5; i++) {
+    UNROLL for (int i = 0; i < 5; i++) {
         found.index[i] = clip(before + i, size);
         found.weights[0][i] = i < 4 ? one.weight[i] : 0.0f;
         found.weights[1][i] = found.behind ? (i ? two.weight[i - 1] : 0.0f)
@@ -23,26 +22,20 @@ __device__ inline Cubics cubics(const View& places, int at, int size) {
 
 // Four pixels, two beside and below each other, each like `resampled`.
 template <int CHANNELS>
-__device__ inline void resampled_four(const View& image, const Cubics& down, const Cubics& across,
-                                      float (&result)[2][2 * CHANNELS]) {
-#pragma unroll
-    for (int k = 0; k < CHANNELS; k++) {
+FN void resampled_four(const View& image, const Cubics& down, const Cubics& across,
+                       float (&result)[2][2 * CHANNELS]) {
+    UNROLL for (int k = 0; k < CHANNELS; k++) {
         float sum[2][2] = {}, least[2][3], most[2][3];
-#pragma unroll
-        for (int i = 0; i < 5; i++) {
+        UNROLL for (int i = 0; i < 5; i++) {
             float value[5];
-#pragma unroll
-            for (int j = 0; j < 5; j++)
+            UNROLL for (int j = 0; j < 5; j++)
                 value[j] = finite(
                     image.at[(size_t(down.index[j]) * image.size[1] + across.index[i]) * CHANNELS
                              + k]);
-#pragma unroll
-            for (int y = 0; y < 2; y++) {
+            UNROLL for (int y = 0; y < 2; y++) {
                 float column = 0.0f;
-#pragma unroll
-                for (int j = 0; j < 5; j++) column += down.weights[y][j] * value[j];
-#pragma unroll
-                for (int x = 0; x < 2; x++) sum[y][x] += across.weights[x][i] * column;
+                UNROLL for (int j = 0; j < 5; j++) column += down.weights[y][j] * value[j];
+                UNROLL for (int x = 0; x < 2; x++) sum[y][x] += across.weights[x][i] * column;
                 if (i == 0 || i == 4) continue;
                 const bool behind = y && down.behind;
                 const float upper = behind ? value[2] : value[1],
@@ -51,10 +44,8 @@ __device__ inline void resampled_four(const View& image, const Cubics& down, con
                 most[y][i - 1] = fmaxf(upper, lower);
             }
         }
-#pragma unroll
-        for (int y = 0; y < 2; y++)
-#pragma unroll
-            for (int x = 0; x < 2; x++) {
+        UNROLL for (int y = 0; y < 2; y++)
+            UNROLL for (int x = 0; x < 2; x++) {
                 const bool behind = x && across.behind;
                 const float low = fminf(behind ? least[y][2] : least[y][0], least[y][1]);
                 const float high = fmaxf(behind ? most[y][2] : most[y][0], most[y][1]);
@@ -78,13 +69,11 @@ extern "C" __global__ void __launch_bounds__(256, 2)
     if (channels == 3 && together) {
         float light[2][6];
         resampled_four<3>(image, down, across, light);
-#pragma unroll
-        for (int k = 0; k < 2; k++)
+        UNROLL for (int k = 0; k < 2; k++)
             if (y + k < height) put_beside(light[k], output, y + k, x);
         return;
     }
-#pragma unroll 1
-    for (int k = 0; k < 4; k++) {
+    AS_IT_IS for (int k = 0; k < 4; k++) {
         const int v = y + k / 2, u = x + k % 2;
         if (v < height && u < width)
             resampled(image, channels, cubic(rows.at[v], image.size[0]),
@@ -108,8 +97,7 @@ extern "C" __global__ void overlay_enlarge(View image, View rows, View columns, 
     for (int c = 0; c < 3; c++) {
         const float ENDLESS = __int_as_float(0x7f800000);  // the GPU's compiler has no <cmath>
         float low = ENDLESS, high = -ENDLESS;
-#pragma unroll
-        for (int i = 0; i < 4; i++) {
+        UNROLL for (int i = 0; i < 4; i++) {
             const int row = i < 2 ? down.index[1] : down.index[2],
                       column = i % 2 ? across.index[2] : across.index[1];
             const float* const pixel = image.at + 4 * (size_t(row) * image.size[1] + column);

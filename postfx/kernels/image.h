@@ -2,10 +2,6 @@
 #pragma once
 #include "rows.h"
 
-typedef View<const float, 3> Picture;
-typedef View<float, 3> NewPicture;
-typedef float Four __attribute__((ext_vector_type(4)));
-
 template <class F> FN F finite(F value) {
     return size_of<F>(value) < __builtin_inff() ? value : F(0.0f);
 }
@@ -14,11 +10,6 @@ FN Four finite(Four value) {
 }
 FN Four larger_four(Four x, Four other) { return x > other ? x : other; }
 FN Four smaller_four(Four x, Four other) { return x < other ? x : other; }
-FN Four four_at(const float* at) {
-    Four x;
-    __builtin_memcpy(&x, at, sizeof x);
-    return x;
-}
 
 // Weights of four taps around a position t in [0, 1) after the second one (Keys 1981, a = -0.5).
 // Each product is rounded, as in the portable definition: a colour that nearly nothing covers is a

@@ -6,8 +6,7 @@
 // sums (16, 8) += left (16, 8) right (8, 8), spread over a warp. Of lane 4 g + q: sums of rows g
 // and g + 8, columns 2 q and 2 q + 1; left of the same rows, columns q and q + 4; right of column
 // g, rows q and q + 4.
-__device__ inline void add_product(float (&sums)[4], const unsigned (&left)[4],
-                                   const unsigned (&right)[2]) {
+FN void add_product(float (&sums)[4], const unsigned (&left)[4], const unsigned (&right)[2]) {
     asm("mma.sync.aligned.m16n8k8.row.col.f32.tf32.tf32.f32 {%0, %1, %2, %3}, {%4, %5, %6, %7}, "
         "{%8, %9}, "
         "{%0, %1, %2, %3};"
@@ -22,7 +21,7 @@ union Bits {
 };
 
 // A number as the sum of two that tensor cores take, which have 11 bits.
-__device__ inline void split(float value, unsigned& high, unsigned& low) {
+FN void split(float value, unsigned& high, unsigned& low) {
     Bits whole, rest;
     whole.number = value;
     whole.bits = (whole.bits + 0x1000u) & ~0x1fffu;

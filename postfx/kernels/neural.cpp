@@ -211,7 +211,7 @@ struct Correlation {
                 __builtin_memcpy(&all, to, sizeof all);
                 __builtin_memcpy(&more, sums + v * ACROSS, sizeof more);
                 all += more;
-                __builtin_memcpy(to, &all, sizeof all);
+                store(to, all);
             }
             return;
         }
@@ -453,14 +453,12 @@ static void adam_rows(Long first, Long last, Partials partials, Given<Hyper> hyp
         for (Long k = 0; k < count; k++) sums[k] = 0.0f;
         for (Long group = 0; group < partials.size[0]; group++) {
             const float* row = partials(group) + begin;
-            across_once(0, count, PIXELS(auto one, Long k) {
-                typedef decltype(one) F;
+            across_once(0, count, EACH(F, Long k) {
                 store<F>(sums + k, load<F>(sums + k) + load<F>(row + k));
             });
         }
         float *const own = parameters.at + begin, *const kept = moments(begin);
-        across_once(0, count, PIXELS(auto one, Long k) {
-            typedef decltype(one) F;
+        across_once(0, count, EACH(F, Long k) {
             F mean = pick<F, 3>(kept + 3 * k), square = pick<F, 3>(kept + 3 * k + 1);
             const F change = step_of<F>(*hyper, pace, load<F>(sums + k) * learnt, mean, square);
             store_triples<F>(kept + 3 * k, mean, square, F(step));

@@ -7,16 +7,12 @@ struct alignas(16) Parts {
 };
 
 // Layers of at most 64 numbers: blocks of 8 in a row, as 1, 4 or 8.
-__device__ inline int shift_of(int size) {
-    return size <= 8 ? 0 : size <= 32 ? 2 : 3;
-}
+FN int shift_of(int size) { return size <= 8 ? 0 : size <= 32 ? 2 : 3; }
 
-__device__ inline int blocks_of(int reads, int makes) {
-    return (up_to(reads, 32) / 8) << shift_of(makes);
-}
+FN int blocks_of(int reads, int makes) { return (up_to(reads, 32) / 8) << shift_of(makes); }
 
 // Floats that a narrow network takes in the shared memory: biases, then its split weights.
-__device__ inline int split_floats(const Network& net) {
+FN int split_floats(const Network& net) {
     int blocks = 0;
     for (int layer = 0; layer < net.layers; layer++)
         blocks += blocks_of(net.size[layer], net.size[layer + 1]);
@@ -24,7 +20,7 @@ __device__ inline int split_floats(const Network& net) {
 }
 
 // Copy biases and split weights into the shared memory, where they are after a barrier.
-__device__ inline void split_layers(const Network& net, const float* parameters, float* biases) {
+FN void split_layers(const Network& net, const float* parameters, float* biases) {
     const int many = 8;
     Parts* to = reinterpret_cast<Parts*>(biases + 64 * net.layers);
     for (int layer = 0; layer < net.layers; layer++) {
@@ -36,8 +32,7 @@ __device__ inline void split_layers(const Network& net, const float* parameters,
         }
         for (int begin = threadIdx.x; begin < count; begin += many * THREADS) {
             Pair values[many];
-#pragma unroll
-            for (int n = 0; n < many; n++) {
+            UNROLL for (int n = 0; n < many; n++) {
                 const int k = begin + n * THREADS, lane = k % 32, block = k / 32,
                           step = block >> shift;
                 const int j = 8 * (block - (step << shift)) + lane / 4,
@@ -46,8 +41,7 @@ __device__ inline void split_layers(const Network& net, const float* parameters,
                 values[n].x = j < from.makes && i < from.reads ? row[0] : 0.0f;
                 values[n].y = j < from.makes && i + 1 < from.reads ? row[1] : 0.0f;
             }
-#pragma unroll
-            for (int n = 0; n < many; n++) {
+            UNROLL for (int n = 0; n < many; n++) {
                 Parts parts;
                 split(values[n].x, parts.high[0], parts.low[0]);
                 split(values[n].y, parts.high[1], parts.low[1]);
@@ -63,33 +57,27 @@ __device__ inline void split_layers(const Network& net, const float* parameters,
 // `add_product` needs to the left, of columns that are in another order there as in the blocks, is
 // what it gives.
 template <int TILES, int DEPTH>
-__device__ inline void add_blocks(Sums<8, DEPTH>& sums, const Sums<8, DEPTH>& left,
-                                  const Parts* right, int steps) {
+FN void add_blocks(Sums<8, DEPTH>& sums, const Sums<8, DEPTH>& left, const Parts* right,
+                   int steps) {
     const int lane = threadIdx.x % 32, group = TILES < GROUPED ? TILES : GROUPED;
-#pragma unroll
-    for (int step = 0; step < 8; step++) {
+    UNROLL for (int step = 0; step < 8; step++) {
         if (step == 4 && steps == 4) break;
         unsigned high[DEPTH][4], low[DEPTH][4];
-#pragma unroll
-        for (int k = 0; k < 4 * DEPTH; k++) {
+        UNROLL for (int k = 0; k < 4 * DEPTH; k++) {
             const int d = k / 4, to = k % 2 * 2 + k % 4 / 2;
             split(left[d][step][k % 4], high[d][to], low[d][to]);
         }
-#pragma unroll
-        for (int first = 0; first < TILES; first += group) {
+        UNROLL for (int first = 0; first < TILES; first += group) {
             Parts parts[group];
             float found[DEPTH][group][4] = {};
-#pragma unroll
-            for (int n = 0; n < group; n++)
+            UNROLL for (int n = 0; n < group; n++)
                 parts[n] = right[(TILES * step + first + n) * 32 + lane];
-#pragma unroll
-            for (int k = 0; k < 3 * DEPTH * group; k++) {  // small products first
+            UNROLL for (int k = 0; k < 3 * DEPTH * group; k++) {  // small products first
                 const int d = k % DEPTH, n = k / DEPTH % group, what = k / DEPTH / group;
                 add_product(found[d][n], what == 0 ? low[d] : high[d],
                             what == 1 ? parts[n].low : parts[n].high);
             }
-#pragma unroll
-            for (int k = 0; k < 4 * DEPTH * group; k++) {
+            UNROLL for (int k = 0; k < 4 * DEPTH * group; k++) {
                 const int d = k % DEPTH, n = k / DEPTH % group, r = k / DEPTH / group;
                 sums[d][first + n][r] += found[d][n][r];
             }
@@ -100,8 +88,8 @@ __device__ inline void add_blocks(Sums<8, DEPTH>& sums, const Sums<8, DEPTH>& le
 // All layers of a narrow network: a layer's numbers stay in registers, where the next one reads
 // them.
 template <int DEPTH>
-__device__ inline void run_narrow(const Network& net, const float* biases, float* rows,
-                                  const View& points, const View& values) {
+FN void run_narrow(const Network& net, const float* biases, float* rows, const View& points,
+                   const View& values) {
     const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, total = values.size[0],
               last = net.layers - 1;
     const int warp = threadIdx.x / 32, together = TILE * DEPTH;
@@ -109,8 +97,7 @@ __device__ inline void run_narrow(const Network& net, const float* biases, float
          tile += gridDim.y * WARPS) {
         const Parts* right = reinterpret_cast<const Parts*>(biases + 64 * net.layers);
         Sums<8, DEPTH> left = {};
-#pragma unroll
-        for (int d = 0; d < DEPTH; d++) {
+        UNROLL for (int d = 0; d < DEPTH; d++) {
             encode_points(net, points, tile * together + TILE * d, total, TILE, rows);
             each_pair<8>(rows, up_to(net.size[0], 32), [&](int n, int r, Pair& pair) {
                 left[d][n][2 * r] = pair.x, left[d][n][2 * r + 1] = pair.y;
@@ -121,12 +108,10 @@ __device__ inline void run_narrow(const Network& net, const float* biases, float
             const int reads = net.size[index], makes = net.size[index + 1],
                       steps = up_to(reads, 32) / 8;
             Sums<8, DEPTH> sums;
-#pragma unroll
-            for (int n = 0; n < 8; n++) {
+            UNROLL for (int n = 0; n < 8; n++) {
                 const Pair bias =
                     *reinterpret_cast<const Pair*>(biases + 64 * index + 8 * n + 2 * q);
-#pragma unroll
-                for (int d = 0; d < DEPTH; d++) {
+                UNROLL for (int d = 0; d < DEPTH; d++) {
                     sums[d][n][0] = sums[d][n][2] = bias.x, sums[d][n][1] = sums[d][n][3] = bias.y;
                 }
             }
@@ -139,8 +124,7 @@ __device__ inline void run_narrow(const Network& net, const float* biases, float
             }
             right += blocks_of(reads, makes) * 32;
             if (index < last && net.activation != RELU) {
-#pragma unroll
-                for (int d = 0; d < DEPTH; d++) {
+                UNROLL for (int d = 0; d < DEPTH; d++) {
                     activate_rows(net.activation, makes, sums[d], rows, nullptr);
                     each_pair<8>(rows, up_to(makes, 32), [&](int n, int r, Pair& pair) {
                         sums[d][n][2 * r] = pair.x, sums[d][n][2 * r + 1] = pair.y;
@@ -149,19 +133,16 @@ __device__ inline void run_narrow(const Network& net, const float* biases, float
                 }
             }
             if (index < last) {
-#pragma unroll
-                for (int k = 0; k < 32 * DEPTH; k++) {
+                UNROLL for (int k = 0; k < 32 * DEPTH; k++) {
                     const int d = k / 32, n = k / 4 % 8;
                     left[d][n][k % 4] = net.activation == RELU ? relu_of(sums[d][n][k % 4])
                                                                : sums[d][n][k % 4];
                 }
                 continue;
             }
-#pragma unroll
-            for (int n = 0; n < 8; n++) {
+            UNROLL for (int n = 0; n < 8; n++) {
                 if (8 * n >= makes) break;
-#pragma unroll
-                for (int k = 0; k < 4 * DEPTH; k++) {
+                UNROLL for (int k = 0; k < 4 * DEPTH; k++) {
                     const int column = 8 * n + 2 * q + k % 2,
                               p = tile * together + k / 4 * TILE + g + k % 4 / 2 * 8;
                     if (column < makes && p < total)
@@ -195,24 +176,20 @@ extern "C" __global__ void __launch_bounds__(THREADS)
 // points of what the layer made and read, whose rows have `high` and `wide` floats. They are added
 // to the tensor's if that has `begun`.
 template <int COUNT>
-__device__ inline void add_weights(const float* deltas, int high, const float* reads, int wide,
-                                   int points, int row, int column, const Layer& layer,
-                                   float* weights, float* biases, bool begun) {
+FN void add_weights(const float* deltas, int high, const float* reads, int wide, int points,
+                    int row, int column, const Layer& layer, float* weights, float* biases,
+                    bool begun) {
     const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4,
               turns[2] = {turn_of(2 * q), turn_of(2 * q + 1)};
     float found[COUNT][4], down[2] = {};
     const float *left[2][2], *right[2][COUNT];
-#pragma unroll
-    for (int k = 0; k < 2; k++) {
-#pragma unroll
-        for (int r = 0; r < 2; r++)
+    UNROLL for (int k = 0; k < 2; k++) {
+        UNROLL for (int r = 0; r < 2; r++)
             left[k][r] = deltas + (2 * q + k) * high + ((row + 8 * r) ^ turns[k]) + g;
-#pragma unroll
-        for (int n = 0; n < COUNT; n++)
+        UNROLL for (int n = 0; n < COUNT; n++)
             right[k][n] = reads + (2 * q + k) * wide + ((column + 8 * n) ^ turns[k]) + g;
     }
-#pragma unroll
-    for (int k = 0; k < 4 * COUNT; k++) {
+    UNROLL for (int k = 0; k < 4 * COUNT; k++) {
         const int j = row + g + k % 4 / 2 * 8, i = column + k / 4 * 8 + 2 * q + k % 2;
         found[k / 4][k % 4] = begun && j < layer.makes && i < layer.reads
                                   ? weights[j * layer.reads + i]
@@ -222,33 +199,26 @@ __device__ inline void add_weights(const float* deltas, int high, const float* r
     for (int p = 0; p < points; p += 8) {
         unsigned high_left[4], low_left[4], whole[COUNT][2], rest[COUNT][2];
         float parts[COUNT][4] = {};
-#pragma unroll
-        for (int k = 0; k < 2; k++) {
-#pragma unroll
-            for (int r = 0; r < 2; r++) {
+        UNROLL for (int k = 0; k < 2; k++) {
+            UNROLL for (int r = 0; r < 2; r++) {
                 const float value = left[k][r][p * high];
                 split(value, high_left[2 * k + r], low_left[2 * k + r]);
                 down[r] += value;
             }
-#pragma unroll
-            for (int n = 0; n < COUNT; n++) split(right[k][n][p * wide], whole[n][k], rest[n][k]);
+            UNROLL for (int n = 0; n < COUNT; n++) {
+                split(right[k][n][p * wide], whole[n][k], rest[n][k]);
+            }
         }
-#pragma unroll
-        for (int n = 0; n < COUNT; n++) add_product(parts[n], low_left, whole[n]);
-#pragma unroll
-        for (int n = 0; n < COUNT; n++) add_product(parts[n], high_left, rest[n]);
-#pragma unroll
-        for (int n = 0; n < COUNT; n++) add_product(parts[n], high_left, whole[n]);
-#pragma unroll
-        for (int k = 0; k < 4 * COUNT; k++) found[k / 4][k % 4] += parts[k / 4][k % 4];
+        UNROLL for (int n = 0; n < COUNT; n++) add_product(parts[n], low_left, whole[n]);
+        UNROLL for (int n = 0; n < COUNT; n++) add_product(parts[n], high_left, rest[n]);
+        UNROLL for (int n = 0; n < COUNT; n++) add_product(parts[n], high_left, whole[n]);
+        UNROLL for (int k = 0; k < 4 * COUNT; k++) found[k / 4][k % 4] += parts[k / 4][k % 4];
     }
-#pragma unroll
-    for (int k = 0; k < 4 * COUNT; k++) {
+    UNROLL for (int k = 0; k < 4 * COUNT; k++) {
         const int j = row + g + k % 4 / 2 * 8, i = column + k / 4 * 8 + 2 * q + k % 2;
         if (j < layer.makes && i < layer.reads) weights[j * layer.reads + i] = found[k / 4][k % 4];
     }
-#pragma unroll
-    for (int r = 0; r < 2; r++) {
+    UNROLL for (int r = 0; r < 2; r++) {
         down[r] += __shfl_xor_sync(~0u, down[r], 1);
         down[r] += __shfl_xor_sync(~0u, down[r], 2);
         const int j = row + g + 8 * r;
@@ -281,16 +251,14 @@ struct Part {
 // The derivatives of the squared error by the last layer's outputs of 16 points, in their place,
 // and that error.
 template <int TILES>
-__device__ inline void compare(float (&sums)[TILES][4], const View& targets, int first, int end,
-                               float share, Part& part) {
+FN void compare(float (&sums)[TILES][4], const View& targets, int first, int end, float share,
+                Part& part) {
     const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, outputs = targets.size[1];
-#pragma unroll
-    for (int r = 0; r < 2; r++) {
+    UNROLL for (int r = 0; r < 2; r++) {
         const int p = first + g + 8 * r;
         const float* const target = targets.at + size_t(p) * outputs;
         float unknown = p < end ? 0.0f : 1.0f;
-#pragma unroll
-        for (int k = 0; k < 2 * TILES; k++) {
+        UNROLL for (int k = 0; k < 2 * TILES; k++) {
             const int column = k / 2 * 8 + 2 * q + k % 2;
             float& value = sums[k / 2][2 * r + k % 2];
             const float wanted = column < outputs && p < end ? target[column] : 0.0f;
@@ -300,8 +268,7 @@ __device__ inline void compare(float (&sums)[TILES][4], const View& targets, int
         unknown += __shfl_xor_sync(~0u, unknown, 1);
         unknown += __shfl_xor_sync(~0u, unknown, 2);
         part.learnt += q == 0 && unknown == 0.0f;
-#pragma unroll
-        for (int k = 0; k < 2 * TILES; k++) {
+        UNROLL for (int k = 0; k < 2 * TILES; k++) {
             float& value = sums[k / 2][2 * r + k % 2];
             value = unknown > 0.0f ? 0.0f : value;
             part.error += double(value) * value;
@@ -363,8 +330,7 @@ __device__ __noinline__ Part learn_group(const Network& net, const float* weight
                                   into, first > begin);
             }
             if (is_busy && (index || is_pulled)) {
-#pragma unroll
-                for (int k = 0; k < 4 * TILES; k++) sums[0][k / 4][k % 4] = 0.0f;
+                UNROLL for (int k = 0; k < 4 * TILES; k++) sums[0][k / 4][k % 4] = 0.0f;
                 multiply<TILES, 1>(
                     sums, deltas + own * high, layer.makes, layer.reads, [&](int step, int tile) {
                         if (SHARED) {
@@ -393,8 +359,7 @@ __device__ __noinline__ Part learn_group(const Network& net, const float* weight
                     sums[0][n][2 * r + 1] *= column + 1 < layer.reads ? other : 0.0f;
                 });
             } else if (is_busy && is_pulled) {
-#pragma unroll
-                for (int k = 0; k < 4 * TILES; k++) {
+                UNROLL for (int k = 0; k < 4 * TILES; k++) {
                     const int column = k / 4 * 8 + 2 * q + k % 2,
                               p = first + own + g + k % 4 / 2 * 8;
                     if (column < net.inputs && p < end) {
@@ -449,7 +414,7 @@ extern "C" __global__ void __launch_bounds__(THREADS)
 }
 
 // What makes the sum of groups a mean over the points that are learnt; 0 if there are none.
-__device__ inline float scale_of(const View& partials) {
+FN float scale_of(const View& partials) {
     float share = 0.0f;
     for (int group = 0; group < partials.size[0]; group++) {
         share += partials.at[size_t(group + 1) * partials.size[1] - 1];
@@ -458,7 +423,7 @@ __device__ inline float scale_of(const View& partials) {
 }
 
 // A step of one parameter, whose moments are a row of three.
-__device__ inline void adam_step(float gradient, const View& hyper, float* row, float& parameter) {
+FN void adam_step(float gradient, const View& hyper, float* row, float& parameter) {
     const float rate = hyper.at[0], slow = hyper.at[1], slower = hyper.at[2], epsilon = hyper.at[3];
     const float step = row[2] + 1.0f;
     const float size = rate / -expm1f(step * logf(slow)),
@@ -492,7 +457,7 @@ struct Corner {
 };
 
 // A corner of the cell of a grid's level that a point lies in.
-__device__ inline Corner corner_of(const View& grid, int level, const float* point, int corner) {
+FN Corner corner_of(const View& grid, int level, const float* point, int corner) {
     const unsigned primes[3] = {1u, 2654435761u, 805459861u};
     const int dims = int(grid.at[DIMS]), entries = int(grid.at[ENTRIES]),
               side = int(grid.at[SIDES + level]);

@@ -12,7 +12,7 @@
 #ifdef __CUDACC__
 extern __shared__ __align__(16) float memory[];
 
-__device__ inline int shared_floats() {
+FN int shared_floats() {
     unsigned bytes;
     asm("mov.u32 %0, %%dynamic_smem_size;" : "=r"(bytes));
     return int(bytes / 4);
@@ -21,18 +21,14 @@ __device__ inline int shared_floats() {
 
 const int WARPS = THREADS / 32, TILE = 16, MOST_POINTS = TILE * WARPS, GROUPED = 4;
 
-__device__ inline float relu_of(float z) { return z < 0.0f ? 0.0f : z; }  // NaN stays NaN
+FN float relu_of(float z) { return z < 0.0f ? 0.0f : z; }  // NaN stays NaN
 
-__device__ inline int up_to(int size, int unit) {
-    return (size + unit - 1) / unit * unit;
-}
+FN int up_to(int size, int unit) { return (size + unit - 1) / unit * unit; }
 
 // Rows in shared memory begin at multiples of 32 floats. In row r, column c lies at c ^ turn_of(r):
 // so the numbers that a warp reads at once lie in different banks, be they two columns of 8 rows or
 // 8 columns of 4 rows.
-__device__ inline int turn_of(int row) {
-    return 8 * ((row & 3) ^ (row >> 2 & 1));
-}
+FN int turn_of(int row) { return 8 * ((row & 3) ^ (row >> 2 & 1)); }
 
 // What every block knows of the network: sizes; floats before each layer's inputs in a point's
 // rows, before its parameters in the shared memory, and in the tensor.
@@ -43,29 +39,24 @@ struct Network {
 };
 
 // Rows of a layer's weights in the shared memory.
-__device__ inline int height_of(int makes) {
-    return makes <= 8 ? 8 : up_to(makes, 32);
-}
+FN int height_of(int makes) { return makes <= 8 ? 8 : up_to(makes, 32); }
 
 // Floats of these rows.
-__device__ inline int stride_of(int widest) {
-    return widest <= 64 ? 64 : MOST_WIDTH;
-}
+FN int stride_of(int widest) { return widest <= 64 ? 64 : MOST_WIDTH; }
 
-__device__ inline void read_network(const View& view, Network& net) {
+FN void read_network(const View& view, Network& net) {
     const float* const at = view.at;
     if (threadIdx.x == 0) {
         int size[MOST_LAYERS + 1];  // sizes beyond the last layer are 0
         int widest = 0, rows = 0, space = 0, count = 0;
-#pragma unroll
-        for (int layer = 0; layer <= MOST_LAYERS; layer++) size[layer] = int(at[SIZES + layer]);
+        UNROLL for (int layer = 0; layer <= MOST_LAYERS; layer++) {
+            size[layer] = int(at[SIZES + layer]);
+        }
         net.layers = int(at[LAYERS]), net.inputs = int(at[INPUTS]),
         net.activation = int(at[ACTIVATION]);
         net.encoded = int(at[ENCODED]), net.bands = int(at[BANDS]);
-#pragma unroll
-        for (int layer = 0; layer <= MOST_LAYERS; layer++) widest = max(widest, size[layer]);
-#pragma unroll
-        for (int layer = 0; layer <= MOST_LAYERS; layer++) {
+        UNROLL for (int layer = 0; layer <= MOST_LAYERS; layer++) widest = max(widest, size[layer]);
+        UNROLL for (int layer = 0; layer <= MOST_LAYERS; layer++) {
             net.size[layer] = size[layer], net.rows[layer] = rows, net.space[layer] = space,
             net.count[layer] = count;
             rows += up_to(size[layer], 32);
@@ -86,7 +77,7 @@ struct Layer {
 };
 
 template <int WIDTH, bool SHARED>
-__device__ inline Layer layer_of(const Network& net, int layer, const float* at) {
+FN Layer layer_of(const Network& net, int layer, const float* at) {
     const int reads = net.size[layer], makes = net.size[layer + 1];
     at += SHARED ? net.space[layer] : net.count[layer];
     return {at, at + (SHARED ? height_of(makes) * WIDTH : reads * makes), reads, makes};
@@ -95,7 +86,7 @@ __device__ inline Layer layer_of(const Network& net, int layer, const float* at)
 // Copy all parameters into the shared memory, where they are after a barrier. Many are read before
 // any is written, because each alone would wait for the card's memory.
 template <int WIDTH>
-__device__ inline void load_layers(const Network& net, const float* parameters, float* shared) {
+FN void load_layers(const Network& net, const float* parameters, float* shared) {
     const int many = 16;
     for (int layer = 0; layer < net.layers; layer++) {
         const Layer from = layer_of<WIDTH, false>(net, layer, parameters);
@@ -104,14 +95,12 @@ __device__ inline void load_layers(const Network& net, const float* parameters, 
         const float bias = threadIdx.x < from.makes ? from.biases[threadIdx.x] : 0.0f;
         for (int begin = threadIdx.x; begin < floats; begin += many * THREADS) {
             float values[many];
-#pragma unroll
-            for (int n = 0; n < many; n++) {
+            UNROLL for (int n = 0; n < many; n++) {
                 const int k = begin + n * THREADS, j = k / WIDTH, i = k % WIDTH;
                 values[n] = j < from.makes && i < from.reads ? from.weights[j * from.reads + i]
                                                              : 0.0f;
             }
-#pragma unroll
-            for (int n = 0; n < many; n++) {
+            UNROLL for (int n = 0; n < many; n++) {
                 const int k = begin + n * THREADS, j = k / WIDTH, i = k % WIDTH;
                 if (k < floats) to[j * WIDTH + (i ^ turn_of(j))] = values[n];
             }
@@ -122,7 +111,7 @@ __device__ inline void load_layers(const Network& net, const float* parameters, 
 }
 
 // Sine of whole pi + rest: Taylor series, absolute error below 2e-7 for rest in [-pi/2, pi/2].
-__device__ inline float sine_of(float whole, float rest) {
+FN float sine_of(float whole, float rest) {
     const float square = rest * rest, half = whole * 0.5f,
                 sign = 1.0f - 4.0f * (half - floorf(half));
     float sine = -1.0f / 39916800.0f;
@@ -134,13 +123,13 @@ __device__ inline float sine_of(float whole, float rest) {
 }
 
 // Sine and cosine of half turns.
-__device__ inline Pair waves_of(float turns) {
+FN Pair waves_of(float turns) {
     const float whole = floorf(turns + 0.5f), rest = turns - whole;
     return {sine_of(whole, PI * rest), sine_of(whole, PI * (0.5f - fabsf(rest)))};
 }
 
 // GELU and sine, as on the CPU, and their slopes; a ReLU is made where the sums are.
-__device__ inline void activate(int kind, float& z, float& slope) {
+FN void activate(int kind, float& z, float& slope) {
     if (kind == SINE) {
         // pi in three parts, the first two of few bits
         const float whole = floorf(z * (1.0f / PI) + 0.5f);
@@ -164,40 +153,34 @@ using Sums = float[DEPTH][TILES][4];
 // tile)` is what this lane needs of an (8, 8) block: rows 2 q and 2 q + 1, column g. Tensor cores
 // round towards 0, so that sums over many steps are made outside of them.
 template <int TILES, int DEPTH, int GROUP, class Right>
-__device__ inline void add_rows(Sums<TILES, DEPTH>& sums, const float* rows, int width, int steps,
-                                int tiles, Right right) {
+FN void add_rows(Sums<TILES, DEPTH>& sums, const float* rows, int width, int steps, int tiles,
+                 Right right) {
     const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, turn = turn_of(g);
 #pragma unroll(TILES > 8 ? 1 : 2)
     for (int step = 0; step < steps; step++) {
         const float* const at = rows + g * width + ((8 * step) ^ turn) + 2 * q;
         unsigned high[DEPTH][4], low[DEPTH][4];
-#pragma unroll
-        for (int k = 0; k < 2 * DEPTH; k++) {
+        UNROLL for (int k = 0; k < 2 * DEPTH; k++) {
             const Pair both = *reinterpret_cast<const Pair*>(at + 8 * k * width);
             split(both.x, high[k / 2][k % 2], low[k / 2][k % 2]);
             split(both.y, high[k / 2][2 + k % 2], low[k / 2][2 + k % 2]);
         }
-#pragma unroll
-        for (int first = 0; first < (GROUP == 1 ? 1 : TILES); first += GROUP) {
+        UNROLL for (int first = 0; first < (GROUP == 1 ? 1 : TILES); first += GROUP) {
             if (first >= tiles) break;
             unsigned whole[GROUP][2], rest[GROUP][2];
             float parts[DEPTH][GROUP][4] = {};
-#pragma unroll
-            for (int n = 0; n < GROUP; n++) {
+            UNROLL for (int n = 0; n < GROUP; n++) {
                 const Pair both = right(step, first + n);
                 split(both.x, whole[n][0], rest[n][0]);
                 split(both.y, whole[n][1], rest[n][1]);
             }
-#pragma unroll
-            for (int k = 0; k < 3 * DEPTH * GROUP; k++) {  // small products first
+            UNROLL for (int k = 0; k < 3 * DEPTH * GROUP; k++) {  // small products first
                 const int d = k % DEPTH, n = k / DEPTH % GROUP, what = k / DEPTH / GROUP;
                 add_product(parts[d][n], what == 0 ? low[d] : high[d],
                             what == 1 ? rest[n] : whole[n]);
             }
-#pragma unroll
-            for (int d = 0; d < DEPTH; d++) {
-#pragma unroll
-                for (int k = 0; k < 4 * GROUP; k++)
+            UNROLL for (int d = 0; d < DEPTH; d++) {
+                UNROLL for (int k = 0; k < 4 * GROUP; k++)
                     sums[d][first + k / 4][k % 4] += parts[d][k / 4][k % 4];
             }
         }
@@ -205,8 +188,7 @@ __device__ inline void add_rows(Sums<TILES, DEPTH>& sums, const float* rows, int
 }
 
 template <int TILES, int DEPTH, class Right>
-__device__ inline void multiply(Sums<TILES, DEPTH>& sums, const float* rows, int inner, int columns,
-                                Right right) {
+FN void multiply(Sums<TILES, DEPTH>& sums, const float* rows, int inner, int columns, Right right) {
     const int steps = (inner + 7) / 8, tiles = (columns + 7) / 8, width = up_to(inner, 32);
     if (tiles > 1) {
         add_rows<TILES, DEPTH, 4>(sums, rows, width, steps, tiles, right);
@@ -217,13 +199,11 @@ __device__ inline void multiply(Sums<TILES, DEPTH>& sums, const float* rows, int
 
 // Call `call(tile, half, pair)` for all pairs of numbers that this lane has of 16 points' rows.
 template <int TILES, class Call>
-__device__ inline void each_pair(float* at, int width, Call call) {
+FN void each_pair(float* at, int width, Call call) {
     const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, turn = turn_of(g);
-#pragma unroll
-    for (int n = 0; n < TILES; n++) {
+    UNROLL for (int n = 0; n < TILES; n++) {
         if (8 * n >= width) break;
-#pragma unroll
-        for (int r = 0; r < 2; r++) {
+        UNROLL for (int r = 0; r < 2; r++) {
             call(n, r,
                  *reinterpret_cast<Pair*>(at + (g + 8 * r) * width + ((8 * n) ^ turn) + 2 * q));
         }
@@ -233,8 +213,8 @@ __device__ inline void each_pair(float* at, int width, Call call) {
 // What the first layer reads of some points, and 0 beside it, in a warp's rows; from `end` on
 // points are 0. Numbers of 16 points are read before any is written, because each alone would wait
 // for the card's memory.
-__device__ inline void encode_points(const Network& net, const View& points, int first, int end,
-                                     int count, float* rows) {
+FN void encode_points(const Network& net, const View& points, int first, int end, int count,
+                      float* rows) {
     const int width = up_to(net.size[0], 32), lane = threadIdx.x % 32, p = lane % TILE,
               turn = turn_of(p);
     for (int column = lane; column < width; column += 32) {
@@ -242,13 +222,11 @@ __device__ inline void encode_points(const Network& net, const View& points, int
         const float* const from = points.at + size_t(first) * net.inputs + column;
         for (int begin = 0; begin < count; begin += TILE) {
             float numbers[TILE];
-#pragma unroll
-            for (int k = 0; k < TILE; k++) {
+            UNROLL for (int k = 0; k < TILE; k++) {
                 const bool is_there = column < net.inputs && first + begin + k < end;
                 numbers[k] = is_there ? from[(begin + k) * net.inputs] : 0.0f;
             }
-#pragma unroll
-            for (int k = 0; k < TILE; k++)
+            UNROLL for (int k = 0; k < TILE; k++)
                 rows[(begin + k) * width + (column ^ turn_of(k))] = numbers[k];
         }
     }
@@ -274,16 +252,13 @@ __device__ inline void encode_points(const Network& net, const View& points, int
 // A layer of DEPTH times 16 points, before its activation; beyond the columns that it makes numbers
 // are of no use.
 template <int TILES, int DEPTH, bool SHARED>
-__device__ inline void run_layer(const Layer& layer, const float* rows, Sums<TILES, DEPTH>& sums) {
+FN void run_layer(const Layer& layer, const float* rows, Sums<TILES, DEPTH>& sums) {
     const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, turn = turn_of(g);
-#pragma unroll
-    for (int n = 0; n < TILES; n++) {
-#pragma unroll
-        for (int k = 0; k < 4; k++) {
+    UNROLL for (int n = 0; n < TILES; n++) {
+        UNROLL for (int k = 0; k < 4; k++) {
             const int column = 8 * n + 2 * q + k % 2;
             const float bias = SHARED || column < layer.makes ? layer.biases[column] : 0.0f;
-#pragma unroll
-            for (int d = 0; d < DEPTH; d++) sums[d][n][k] = bias;
+            UNROLL for (int d = 0; d < DEPTH; d++) sums[d][n][k] = bias;
         }
     }
     multiply<TILES, DEPTH>(sums, rows, layer.reads, layer.makes, [&](int step, int tile) {
@@ -300,8 +275,8 @@ __device__ inline void run_layer(const Layer& layer, const float* rows, Sums<TIL
 // A layer's activation of 16 points in a warp's rows, 0 beside what it makes, and slopes unless it
 // is a ReLU.
 template <int TILES>
-__device__ inline void activate_rows(int kind, int makes, const float (&sums)[TILES][4],
-                                     float* rows, float* slopes) {
+FN void activate_rows(int kind, int makes, const float (&sums)[TILES][4], float* rows,
+                      float* slopes) {
     const int width = up_to(makes, 32), q = threadIdx.x % 4, column = threadIdx.x % 32;
     each_pair<TILES>(rows, width, [&](int n, int r, Pair& pair) {
         const float x = sums[n][2 * r], y = sums[n][2 * r + 1];
@@ -323,8 +298,7 @@ __device__ inline void activate_rows(int kind, int makes, const float (&sums)[TI
 }
 
 template <int TILES, int DEPTH, bool SHARED>
-__device__ inline void run_all(const Network& net, const float* weights, const View& points,
-                               const View& values) {
+FN void run_all(const Network& net, const float* weights, const View& points, const View& values) {
     const int g = threadIdx.x % 32 / 4, q = threadIdx.x % 4, total = values.size[0],
               last = net.layers - 1;
     const int warp = threadIdx.x / 32, together = TILE * DEPTH;
@@ -340,14 +314,12 @@ __device__ inline void run_all(const Network& net, const float* weights, const V
             __syncwarp();
             if (index < last) {
                 const int size = TILE * up_to(layer.makes, 32);
-#pragma unroll
-                for (int d = 0; d < DEPTH; d++) {
+                UNROLL for (int d = 0; d < DEPTH; d++) {
                     activate_rows(net.activation, layer.makes, sums[d], rows + d * size, nullptr);
                 }
                 continue;
             }
-#pragma unroll
-            for (int k = 0; k < 4 * TILES * DEPTH; k++) {
+            UNROLL for (int k = 0; k < 4 * TILES * DEPTH; k++) {
                 const int d = k / 4 / TILES, n = k / 4 % TILES, column = 8 * n + 2 * q + k % 2;
                 const int p = first + TILE * d + g + k % 4 / 2 * 8;
                 if (column < layer.makes && p < total)

@@ -3,6 +3,7 @@
 #define FN __device__ inline
 #define FN_MEMBER __device__
 #define UNROLL _Pragma("unroll")
+#define AS_IT_IS _Pragma("unroll 1")
 
 template <class F> FN F larger(F x, F other) { return x > other ? x : other; }
 template <class F> FN F smaller(F x, F other) { return x < other ? x : other; }

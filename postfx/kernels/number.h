@@ -32,6 +32,10 @@ constexpr int WIDE = 4;
 #endif
 typedef float Wide __attribute__((ext_vector_type(WIDE)));
 typedef int WideInt __attribute__((ext_vector_type(WIDE)));
+// As many at every level.
+typedef float Four __attribute__((ext_vector_type(4)));
+typedef float Eight __attribute__((ext_vector_type(8)));
+typedef float Sixteen __attribute__((ext_vector_type(16)));
 
 template <class F> struct Of;
 template <> struct Of<float> {
@@ -64,12 +68,12 @@ FN Wide root_of(Wide x) { return __builtin_elementwise_sqrt(x); }
 
 // Memory: numbers beside one another, every STEP-th of them, and each of them twice.
 
-template <class F> FN F load(const float* at) {
+template <class F> FN F load(const void* at) {
     F x;
     __builtin_memcpy(&x, at, sizeof x);
     return x;
 }
-template <class F> FN void store(float* at, F x) { __builtin_memcpy(at, &x, sizeof x); }
+template <class F> FN void store(void* at, F x) { __builtin_memcpy(at, &x, sizeof x); }
 // The same past the caches, where it can be, for pictures that are larger than they are. Other
 // threads see it after `settle`.
 template <class F> FN void store_past(float* at, F x) {
@@ -189,7 +193,6 @@ template <class F> FN void interleave_triples(float* at, const float* even, cons
 }
 
 // Four rows as one of quadruples, which begin a step apart.
-typedef float Four __attribute__((ext_vector_type(4)));
 template <int FIRST, int... I> FN Wide pairs_from(Wide a, Wide b, List<int, I...>) {
     return TWO_OF(a, b, FIRST + I / 2 + I % 2 * WIDE);
 }
@@ -254,13 +257,9 @@ template <class F> FN F known(F x) { return x == x ? x : F(0.0f); }
 FN int clip(Long x, Long size) { return int(x < 0 ? 0 : x >= size ? size - 1 : x); }
 
 template <class F> FN typename Of<F>::Int load_int(const int* at) {
-    typename Of<F>::Int x;
-    __builtin_memcpy(&x, at, sizeof x);
-    return x;
+    return load<typename Of<F>::Int>(at);
 }
-template <class F> FN void store_int(int* at, typename Of<F>::Int x) {
-    __builtin_memcpy(at, &x, sizeof x);
-}
+template <class F> FN void store_int(int* at, typename Of<F>::Int x) { store(at, x); }
 
 // Functions: polynomials of Cephes (Moshier).
 

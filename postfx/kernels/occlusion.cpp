@@ -3,32 +3,28 @@
 
 // Normals turned into camera space, of length 1, and depth in radii; pixels without a surface are
 // empty.
-static void surface_rows(Long first, Long last, Surfaces normal, Surfaces depth, Camera camera,
-                         View<float, 3> surface) {
+static void surface_row(Long y, Surfaces normal, Surfaces depth, Camera camera,
+                        View<float, 3> surface) {
     const float radius = camera.at[RADIUS];
-    for (Long y = first; y < last; y++) {
-        const float *normals = normal(y), *depths = depth(y);
-        float* out = surface(y);
-        across(0, surface.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
-            const F a = pick<F, 3>(normals + 3 * x), b = pick<F, 3>(normals + 3 * x + 1);
-            const F c = pick<F, 3>(normals + 3 * x + 2), z = load<F>(depths + x) / radius;
-            const F length = root_of(a * a + b * b + c * c);
-            const F none = 0.0f, one_length = length > 0.1f ? length : none;
-            const F usual = one_length < 1e6f ? one_length : none;
-            const F size = z > 0.0f ? usual : none, known = z < FAR ? size : none;
-            F turned[3];
-            for (int k = 0; k < 3; k++) {
-                const float* to = camera.at + k;
-                const F whole = a / length * to[0] + b / length * to[3] + c / length * to[6];
-                turned[k] = known > 0.0f ? whole : none;
-            }
-            spread_four<4, F>(out + 4 * x, turned[0], turned[1], turned[2],
-                              known > 0.0f ? z : F(FAR));
-        });
-    }
+    const float *normals = normal(y), *depths = depth(y);
+    float* out = surface(y);
+    across(0, surface.size[1], EACH(F, Long x) {
+        const F a = pick<F, 3>(normals + 3 * x), b = pick<F, 3>(normals + 3 * x + 1);
+        const F c = pick<F, 3>(normals + 3 * x + 2), z = load<F>(depths + x) / radius;
+        const F length = root_of(a * a + b * b + c * c);
+        const F none = 0.0f, one_length = length > 0.1f ? length : none;
+        const F usual = one_length < 1e6f ? one_length : none;
+        const F size = z > 0.0f ? usual : none, known = z < FAR ? size : none;
+        F turned[3];
+        for (int k = 0; k < 3; k++) {
+            const float* to = camera.at + k;
+            const F whole = a / length * to[0] + b / length * to[3] + c / length * to[6];
+            turned[k] = known > 0.0f ? whole : none;
+        }
+        spread_four<4, F>(out + 4 * x, turned[0], turned[1], turned[2], known > 0.0f ? z : F(FAR));
+    });
 }
-EXPORT(occlusion_surface, surface_rows)
+EXPORT(occlusion_surface, surface_row)
 
 // One side of a slice through the view ray.
 struct Side {
@@ -113,43 +109,39 @@ FN float visible_at(const Scene& scene, Long y, Long x, float fade, float thin) 
     return within<float>(total / weights, 0.0f, 1.0f);
 }
 
-static void horizon_rows(Long first, Long last, Surfaces surface, Camera camera, Camera settings,
-                         View<float, 2> visible) {
+static void horizon_row(Long y, Surfaces surface, Camera camera, Camera settings,
+                        View<float, 2> visible) {
     const Scene scene(surface, camera);
-    for (Long y = first; y < last; y++) {
-        for (Long x = 0; x < scene.w; x++) {
-            *visible(y, x) = visible_at(scene, y, x, settings.at[0], settings.at[1]);
-        }
+    for (Long x = 0; x < scene.w; x++) {
+        *visible(y, x) = visible_at(scene, y, x, settings.at[0], settings.at[1]);
     }
 }
-EXPORT(occlusion_horizons, horizon_rows)
+EXPORT(occlusion_horizons, horizon_row)
 
 // Mean of each pixel and its 5x5 neighbours on the same surface; the outermost ones count by half.
-static void smooth_rows(Long first, Long last, Surfaces surface, View<const float, 2> noisy,
-                        View<float, 2> visible) {
+static void smooth_row(Long y, Surfaces surface, View<const float, 2> noisy,
+                       View<float, 2> visible) {
     const Long h = surface.size[0], w = surface.size[1];
-    for (Long y = first; y < last; y++) {
-        for (Long x = 0; x < w; x++) {
-            const float z = surface(y, x)[3];
-            const Vector normal = normal_at(surface(y, x));
-            float total = 0.0f, weights = 0.0f;
-            for (Long j = larger<Long>(y - 2, 0); j < smaller<Long>(y + 3, h); j++) {
-                for (Long i = larger<Long>(x - 2, 0); i < smaller<Long>(x + 3, w); i++) {
-                    const float row = j == y - 2 || j == y + 2 ? 0.5f : 1.0f;
-                    const float weight = i == x - 2 || i == x + 2 ? 0.5f * row : row;
-                    const float off = size_of<float>(surface(j, i)[3] - z);
-                    const float alike = dot(normal_at(surface(j, i)), normal);
-                    const bool same = off < 0.05f * z && alike > 0.9f;
-                    total += same ? weight * *noisy(j, i) : 0.0f;
-                    weights += same ? weight : 0.0f;
-                }
+    for (Long x = 0; x < w; x++) {
+        const float z = surface(y, x)[3];
+        const Vector normal = normal_at(surface(y, x));
+        float total = 0.0f, weights = 0.0f;
+        for (Long j = larger<Long>(y - 2, 0); j < smaller<Long>(y + 3, h); j++) {
+            for (Long i = larger<Long>(x - 2, 0); i < smaller<Long>(x + 3, w); i++) {
+                const float row = j == y - 2 || j == y + 2 ? 0.5f : 1.0f;
+                const float weight = i == x - 2 || i == x + 2 ? 0.5f * row : row;
+                const float off = size_of<float>(surface(j, i)[3] - z);
+                const float alike = dot(normal_at(surface(j, i)), normal);
+                const bool same = off < 0.05f * z && alike > 0.9f;
+                total += same ? weight * *noisy(j, i) : 0.0f;
+                weights += same ? weight : 0.0f;
             }
-            const float mean = weights > 0.0f ? total / weights : *noisy(y, x);
-            *visible(y, x) = z >= FAR ? 1.0f : mean;
         }
+        const float mean = weights > 0.0f ? total / weights : *noisy(y, x);
+        *visible(y, x) = z >= FAR ? 1.0f : mean;
     }
 }
-EXPORT(occlusion_smooth, smooth_rows)
+EXPORT(occlusion_smooth, smooth_row)
 
 // What the network reads of each pixel.
 FN void look_at(const Scene& scene, Long y, Long x, float raw, float smooth, float* row) {
@@ -185,14 +177,11 @@ FN void look_at(const Scene& scene, Long y, Long x, float raw, float smooth, flo
     row[4] = smooth;
 }
 
-static void look_rows(Long first, Long last, Surfaces surface, Camera camera,
-                      View<const float, 2> raw, View<const float, 2> smooth, Camera first_row,
-                      View<float, 2> points) {
+static void look_row(Long p, Surfaces surface, Camera camera, View<const float, 2> raw,
+                     View<const float, 2> smooth, Camera first_row, View<float, 2> points) {
     const Scene scene(surface, camera);
-    for (Long p = first; p < last; p++) {
-        const Long y = Long(*first_row.at) + p / scene.w, x = p % scene.w;
-        for (Long i = 0; i < points.size[1]; i++) points(p)[i] = 0.0f;
-        look_at(scene, y, x, *raw(y, x), *smooth(y, x), points(p));
-    }
+    const Long y = Long(*first_row.at) + p / scene.w, x = p % scene.w;
+    for (Long i = 0; i < points.size[1]; i++) points(p)[i] = 0.0f;
+    look_at(scene, y, x, *raw(y, x), *smooth(y, x), points(p));
 }
-EXPORT(occlusion_looks, look_rows)
+EXPORT(occlusion_looks, look_row)

@@ -1,9 +1,6 @@
 // Rows that mix a picture with another denoiser's; `partner.py` says how.
 #include "rows.h"
 
-typedef View<const float, 3> Picture;
-typedef View<float, 3> NewPicture;
-
 constexpr float MOST_LIGHT = 1e30f;
 constexpr float MOST_MOVED = 1 << 24;
 enum Settings { EXPOSURE, REACH, KEEP, STRENGTH };
@@ -70,8 +67,7 @@ static void mix_rows(Long first, Long last, Picture colour, Picture partner, Pic
     for (Long y = first; y < last; y++) {
         const float *own_row = colour(y), *other_row = partner(y);
         float* out = output(y);
-        across(0, width, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, width, EACH(F, Long x) {
             const F acting = all * within<F>(number_at<F, 1>(strength, y, x, 0), 0.0f, 1.0f);
             const F share = acting * within<F>(number_at<F, 1>(weight, y, x, 0), 0.0f, 1.0f);
             const F most = reach * smaller<F>(share, acting - share);
@@ -114,8 +110,7 @@ static Status enlarge_motion_rows(Long first, Long last, Picture motion, Places 
     for (Long y = first; y < last; y++) {
         const float* from = motion(clip(Long(nearest_of(rows.at[y])), h));
         float* out = enlarged(y);
-        across(0, width, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, width, EACH(F, Long x) {
             F moved[2];
             for (int c = 0; c < 2; c++) {
                 const F found = gather<F, 2>(from + c, nearest.at + x);

@@ -1,25 +1,25 @@
 // Mixes a picture with another denoiser's, and brings motion to the output's size: see partner.py.
 
 // A number within 0..1 of a plane, or of one pixel for all.
-__device__ inline float number_at(const View& plane, int y, int x) {
+FN float number_at(const View& plane, int y, int x) {
     const int row = min(y, plane.size[0] - 1), column = min(x, plane.size[1] - 1);
     return clamped(plane.at[size_t(row) * plane.size[1] + column], 0.0f, 1.0f);
 }
 
 // Where a pixel was along an axis; -1 if that is outside of the picture or unknown.
-__device__ inline float place_of(int at, float moved, int size) {
+FN float place_of(int at, float moved, int size) {
     const float place = float(at) + moved;
     const bool known = fabsf(moved) < MOST_MOVED && place >= 0.0f && place <= float(size - 1);
     return known ? place : -1.0f;
 }
 
 // Logarithm of exposed light; that of light below 0 is the negative one. No number counts as 0.
-__device__ inline float encode(float light) {
+FN float encode(float light) {
     const float size = log1p_of(fminf(fmaxf(0.0f, fabsf(light)), MOST_LIGHT));
     return light > 0.0f ? size : -size;
 }
 
-__device__ inline float decode(float coded) {
+FN float decode(float coded) {
     const float size = expm1_of(fabsf(coded));
     return coded > 0.0f ? size : -size;
 }

@@ -2,9 +2,6 @@
 // says how.
 #include "rows.h"
 
-typedef View<const float, 3> Picture;
-typedef View<float, 3> NewPicture;
-
 constexpr float MOST = 1e30f;  // numbers beyond count as this, so that sums stay finite
 
 // Sums of the pixels around each in both directions, by weights that are the same on both sides: of
@@ -24,8 +21,7 @@ struct Weighed {
         return within<F>(load<F>(image(clip(row, image.size[0])) + i), -MOST, MOST);
     }
     void down(Long y, float* line) const {
-        across(0, count, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
+        across(0, count, EACH(F, Long i) {
             F sum = weights.at[0] * number<F>(y, i);
             for (Long far = 1; far <= reach; far++) {
                 sum += weights.at[far] * (number<F>(y - far, i) + number<F>(y + far, i));
@@ -41,70 +37,58 @@ struct Weighed {
     template <class Pixels> void row(Long y, const Pixels& pixels) const {
         float* line = room.at + reach * channels;
         down(y, line);
-        across(0, count, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
+        across(0, count, EACH(F, Long i) {
             F sum = weights.at[0] * load<F>(line + i);
             for (Long far = 1; far <= reach; far++) {
                 const Long apart = far * channels;
                 sum += weights.at[far] * (load<F>(line + i - apart) + load<F>(line + i + apart));
             }
-            pixels(one, i, sum);
+            pixels(F(), i, sum);
         });
     }
 };
 
-static Status spread_rows(Long first, Long last, Picture plane, Places weights,
-                          NewPicture output) {
-    const Weighed sums(plane, weights);
+// Rows of numbers made of the sums: make(F(), y, i, sum) gives those from i on.
+template <class Make>
+FN Status each_sum(Long first, Long last, const Picture& image, const Places& weights,
+                   const NewPicture& output, const Make& make) {
+    const Weighed sums(image, weights);
     if (!sums) return NO_MEMORY;
     for (Long y = first; y < last; y++) {
-        float* out = output(y);
-        sums.row(y, PIXELS(auto one, Long i, auto sum) { store<decltype(one)>(out + i, sum); });
+        sums.row(y, EACH(F, Long i, F sum) { store<F>(output(y) + i, make(F(), y, i, sum)); });
     }
     return DONE;
+}
+
+static Status spread_rows(Long first, Long last, Picture plane, Places weights, NewPicture output) {
+    const auto kept = EACH(F, Long, Long, F sum) { return sum; };
+    return each_sum(first, last, plane, weights, output, kept);
 }
 EXPORT(spread_plane, spread_rows)
 
 // The same where no light is below 0 that was not, nor farther below.
 static Status undo_rows(Long first, Long last, Picture light, Places weights, NewPicture output) {
-    const Weighed sums(light, weights);
-    if (!sums) return NO_MEMORY;
-    for (Long y = first; y < last; y++) {
-        const float* given = light(y);
-        float* out = output(y);
-        sums.row(y, PIXELS(auto one, Long i, auto sum) {
-            typedef decltype(one) F;
-            store<F>(out + i, larger<F>(sum, smaller<F>(load<F>(given + i), 0.0f)));
-        });
-    }
-    return DONE;
+    return each_sum(first, last, light, weights, output, EACH(F, Long y, Long i, F sum) {
+        return larger<F>(sum, smaller<F>(load<F>(light(y) + i), 0.0f));
+    });
 }
 EXPORT(undo_spread, undo_rows)
 
 // Light that comes nearer to what gives the given light when it is spread.
 static Status approach_rows(Long first, Long last, Picture light, Picture undone, Places weights,
                             NewPicture output) {
-    const Weighed sums(undone, weights);
-    if (!sums) return NO_MEMORY;
-    for (Long y = first; y < last; y++) {
-        const float *given = light(y), *before = undone(y);
-        float* out = output(y);
-        sums.row(y, PIXELS(auto one, Long i, auto sum) {
-            typedef decltype(one) F;
-            const F wanted = load<F>(given + i);
-            const F found = load<F>(before + i) + (wanted - sum);
-            store<F>(out + i, larger<F>(found, smaller<F>(wanted, 0.0f)));
-        });
-    }
-    return DONE;
+    return each_sum(first, last, undone, weights, output, EACH(F, Long y, Long i, F sum) {
+        const F wanted = load<F>(light(y) + i);
+        const F found = load<F>(undone(y) + i) + (wanted - sum);
+        return larger<F>(found, smaller<F>(wanted, 0.0f));
+    });
 }
 EXPORT(approach_spread, approach_rows)
 
 // The most light of a pixel and the eight around it, of a row of a picture of three channels.
 static void brightest_around(const Picture& picture, Long y, float* column, float* output) {
     const Long width = picture.size[1];
-    across(0, width, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(0, width, EACH(F, Long x) {
         F most = -MOST;
         for (Long row = y - 1; row <= y + 1; row++) {
             const float* at = picture(clip(row, picture.size[0])) + 3 * x;
@@ -112,10 +96,8 @@ static void brightest_around(const Picture& picture, Long y, float* column, floa
         }
         store<F>(column + 1 + x, most);
     });
-    column[0] = column[1];
-    column[width + 1] = column[width];
-    across(0, width, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    repeat_edges(column, width);
+    across(0, width, EACH(F, Long x) {
         const F beside = larger<F>(load<F>(column + x), load<F>(column + x + 2));
         store<F>(output + x, larger<F>(beside, load<F>(column + x + 1)));
     });
@@ -133,11 +115,8 @@ static Status finish_rows(Long first, Long last, Picture light, Picture undone, 
     for (Long y = first; y < last; y++) {
         const float* given = light(y);
         float* out = output(y);
-        noisy.row(y, PIXELS(auto one, Long i, auto sum) {
-            typedef decltype(one) F;
-            store<F>(lost + i, load<F>(given + i) - sum);
-        });
-        sums.row(y, PIXELS(auto one, Long i, auto sum) { store<decltype(one)>(out + i, sum); });
+        noisy.row(y, EACH(F, Long i, F sum) { store<F>(lost + i, load<F>(given + i) - sum); });
+        sums.row(y, EACH(F, Long i, F sum) { store<F>(out + i, sum); });
         brightest_around(denoised, y, column, clean);
         brightest_around(undone, y, column, most);
         for (Long x = 0; x < width; x++) {

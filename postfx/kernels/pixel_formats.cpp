@@ -20,7 +20,7 @@ constexpr float SUBNORMALS = 1 << 24;
 FN void store_words(Word16* at, int x) { *at = Word16(x); }
 FN void store_words(Word16* at, WideInt x) {
     const WideWord16 words = __builtin_convertvector(x, WideWord16);
-    __builtin_memcpy(at, &words, sizeof words);
+    store(at, words);
 }
 template <class F> FN typename Of<F>::Int load_words(const Word16* at) {
     if constexpr (Of<F>::COUNT == 1) {
@@ -55,8 +55,7 @@ template <class F> FN F float_of(typename Of<F>::Int half) {
 // Pixels of some channels beside one another, as half floats of one channel after the other.
 template <int COUNT>
 FN void halve_some(Long first, Long last, const float* values, View<Word16, 2> halves) {
-    across(first, last, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(first, last, EACH(F, Long x) {
         for (int c = 0; c < COUNT; c++) {
             store_words(halves(c) + x, half_of<F>(pick<F, COUNT>(values + COUNT * x + c)));
         }
@@ -79,10 +78,6 @@ EXPORT(halve_pixels, halve_pixels)
 
 enum Stored { HALVES = 1, FLOATS = 2 };  // and how many words of 16 bits a number has
 
-template <bool VALUE> struct Known {
-    static constexpr bool value = VALUE;
-};
-
 // Numbers of a channel that is stored as words of 16 bits.
 template <class F> FN F stored_at(const Word16* words, Long kind, Long x) {
     if (kind == HALVES) return float_of<F>(load_words<F>(words + x));
@@ -97,7 +92,7 @@ template <int COUNT, class F> FN void store_pixels(float* at, const F* numbers) 
     if constexpr (COUNT == 4) spread_four<4, F>(at, numbers[0], numbers[1], numbers[2], numbers[3]);
 }
 template <int COUNT>
-FN void widen_row(const Word16* words, View<const Long, 2> channels, Long width, float* out) {
+FN void widen_some(const Word16* words, View<const Long, 2> channels, Long width, float* out) {
     Long kinds[COUNT];
     const Word16* begin[COUNT];
     bool halves = true;
@@ -106,37 +101,32 @@ FN void widen_row(const Word16* words, View<const Long, 2> channels, Long width,
         begin[c] = words + channels(c)[1];
         halves &= kinds[c] == HALVES;
     }
-    const auto widen = PIXELS(auto all_halves) {
-        across(0, width, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+    with_flag(halves, PIXELS(auto all_halves) {
+        across(0, width, EACH(F, Long x) {
             F numbers[COUNT];
             for (int c = 0; c < COUNT; c++) {
-                numbers[c] = stored_at<F>(begin[c], all_halves.value ? HALVES : kinds[c], x);
+                numbers[c] = stored_at<F>(begin[c], all_halves() ? HALVES : kinds[c], x);
             }
             store_pixels<COUNT, F>(out + COUNT * x, numbers);
         });
-    };
-    if (halves) widen(Known<true>());
-    else widen(Known<false>());
+    });
 }
-static void widen_rows(Long first, Long last, View<const Word16, 2> words,
-                       View<const Long, 2> channels, View<float, 3> pixels) {
+static void widen_row(Long y, View<const Word16, 2> words, View<const Long, 2> channels,
+                      View<float, 3> pixels) {
     const Long count = channels.size[0], width = pixels.size[1];
-    for (Long y = first; y < last; y++) {
-        float* out = pixels(y);
-        if (count == 1) widen_row<1>(words(y), channels, width, out);
-        else if (count == 2) widen_row<2>(words(y), channels, width, out);
-        else if (count == 3) widen_row<3>(words(y), channels, width, out);
-        else if (count == 4) widen_row<4>(words(y), channels, width, out);
-        for (Long c = 0; count > 4 && c < count; c++) {
-            const Word16* begin = words(y) + channels(c)[1];
-            for (Long x = 0; x < width; x++) {
-                out[count * x + c] = stored_at<float>(begin, *channels(c), x);
-            }
+    float* out = pixels(y);
+    if (count == 1) widen_some<1>(words(y), channels, width, out);
+    else if (count == 2) widen_some<2>(words(y), channels, width, out);
+    else if (count == 3) widen_some<3>(words(y), channels, width, out);
+    else if (count == 4) widen_some<4>(words(y), channels, width, out);
+    for (Long c = 0; count > 4 && c < count; c++) {
+        const Word16* begin = words(y) + channels(c)[1];
+        for (Long x = 0; x < width; x++) {
+            out[count * x + c] = stored_at<float>(begin, *channels(c), x);
         }
     }
 }
-EXPORT(widen_rows, widen_rows)
+EXPORT(widen_rows, widen_row)
 
 FN bool is_any(bool one) { return one; }
 FN bool is_any(WideInt some) { return __builtin_reduce_or(some) != 0; }
@@ -147,8 +137,7 @@ static void look_up(Long first, Long last, View<const float, 1> codes, View<cons
                     View<float, 1> values, View<bool, 1> inside) {
     const float steps = float(table.size[0] - 2);
     bool all = true;
-    across(first, last, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(first, last, EACH(F, Long x) {
         const F given = load<F>(codes.at + x), code = within<F>(given, 0.0f, 1.0f);
         const F place = code * steps;
         const typename Of<F>::Int entry = whole(place);
@@ -167,58 +156,53 @@ EXPORT_ALONE(look_up, look_up)
 FN void store_bytes(byte* at, int x) { *at = byte(x); }
 FN void store_bytes(byte* at, WideInt x) {
     const WideByte bytes = __builtin_convertvector(x, WideByte);
-    __builtin_memcpy(at, &bytes, sizeof bytes);
+    store(at, bytes);
 }
 
 // The whole part of codes times the largest byte, cut to 0..1, plus a threshold of a pattern that
 // is repeated.
-static void dither_rows(Long first, Long last, View<const float, 2> codes, Given<float> top,
-                        View<const float, 2> pattern, View<byte, 2> bytes) {
+static void dither_row(Long y, View<const float, 2> codes, Given<float> top,
+                       View<const float, 2> pattern, View<byte, 2> bytes) {
     const Long width = codes.size[1], period = pattern.size[1];
     const float highest = *top;
-    for (Long y = first; y < last; y++) {
-        const float* thresholds = pattern(y % pattern.size[0]);
-        for (Long start = 0; start < width; start += period) {
-            const float* some = codes(y) + start;
-            byte* out = bytes(y) + start;
-            const Long size = smaller<Long>(period, width - start);
-            const auto dither = PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
-                const F code = within<F>(load<F>(some + x), 0.0f, 1.0f);
-                store_bytes(out + x, whole(F(code * highest + load<F>(thresholds + x))));
-            };
-            Long x = 0;
-            for (; x + 4 * WIDE <= size; x += 4 * WIDE) {
-                UNROLL for (int k = 0; k < 4; k++) dither(Wide(), x + k * WIDE);
-            }
-            across(x, size, dither);
+    const float* thresholds = pattern(y % pattern.size[0]);
+    for (Long start = 0; start < width; start += period) {
+        const float* some = codes(y) + start;
+        byte* out = bytes(y) + start;
+        const Long size = smaller<Long>(period, width - start);
+        const auto dither = EACH(F, Long x) {
+            const F code = within<F>(load<F>(some + x), 0.0f, 1.0f);
+            store_bytes(out + x, whole(F(code * highest + load<F>(thresholds + x))));
+        };
+        Long x = 0;
+        for (; x + 4 * WIDE <= size; x += 4 * WIDE) {
+            UNROLL for (int k = 0; k < 4; k++) dither(Wide(), x + k * WIDE);
         }
+        across(x, size, dither);
     }
 }
-EXPORT_ALONE(dither_rows, dither_rows)
+EXPORT_ALONE(dither_rows, dither_row)
 
 // PNG's filter 4 (ISO/IEC 15948, 9.4) of rows, after its number; `above` is the row before.
 FN int distance(int x, int other) { return x < other ? other - x : x - other; }
-static void filter_rows(Long first, Long last, View<const byte, 2> rows, View<const byte, 1> above,
-                        View<const Long, 1> bytes_of_pixel, View<byte, 2> filtered) {
+static void filter_row(Long y, View<const byte, 2> rows, View<const byte, 1> above,
+                       View<const Long, 1> bytes_of_pixel, View<byte, 2> filtered) {
     const Long size = rows.size[1], step = *bytes_of_pixel.at;
-    for (Long y = first; y < last; y++) {
-        const byte* __restrict row = rows(y);
-        const byte* __restrict up = y ? rows(y - 1) : above.at;
-        byte* __restrict out = filtered(y) + 1;
-        out[-1] = 4;
-        for (Long i = 0; i < step; i++) out[i] = byte(row[i] - up[i]);
-        for (Long i = step; i < size; i++) {
-            const short a = row[i - step], b = up[i], c = up[i - step];
-            const short to_left = short(distance(b, c)), to_up = short(distance(a, c));
-            const short over = short(a + b - 2 * c), to_corner = short(over < 0 ? -over : over);
-            const short nearer = to_up <= to_corner ? b : c;
-            const bool left = to_left <= to_up && to_left <= to_corner;
-            out[i] = byte(row[i] - (left ? a : nearer));
-        }
+    const byte* __restrict row = rows(y);
+    const byte* __restrict up = y ? rows(y - 1) : above.at;
+    byte* __restrict out = filtered(y) + 1;
+    out[-1] = 4;
+    for (Long i = 0; i < step; i++) out[i] = byte(row[i] - up[i]);
+    for (Long i = step; i < size; i++) {
+        const short a = row[i - step], b = up[i], c = up[i - step];
+        const short to_left = short(distance(b, c)), to_up = short(distance(a, c));
+        const short over = short(a + b - 2 * c), to_corner = short(over < 0 ? -over : over);
+        const short nearer = to_up <= to_corner ? b : c;
+        const bool left = to_left <= to_up && to_left <= to_corner;
+        out[i] = byte(row[i] - (left ? a : nearer));
     }
 }
-EXPORT_ALONE(filter_rows, filter_rows)
+EXPORT_ALONE(filter_rows, filter_row)
 
 // Bytes as OpenEXR compresses them (ImfZip.cpp): those in even places before those in odd ones,
 // each less the one before it, plus 128.
@@ -236,94 +220,60 @@ static void predict_bytes(Long, Long, View<const byte, 1> plain, View<byte, 1> d
 }
 EXPORT(predict_bytes, predict_bytes)
 
-// Back again, eight bytes in a number, of which a vector holds several. Only what comes before each
-// number is added one by one.
+// Back again, a vector of bytes at once.
 
-constexpr Word64 TOPS = 0x8080808080808080, BYTES = 0x00FF00FF00FF00FF, LOW = 0xFF;
-constexpr int PIECE = 512, EIGHT = 8;  // numbers that stay in the cache, and bytes of each
-constexpr int EIGHTS = WIDE / 2;
-typedef Word64 Words __attribute__((ext_vector_type(EIGHTS)));
+constexpr int COUNT = 4 * WIDE;  // bytes of a vector
+typedef byte Bytes __attribute__((ext_vector_type(COUNT)));
+const __make_integer_seq<List, int, COUNT> BYTE_PLACES;
 
-template <class W> FN W words_at(const void* at) {
-    W x;
-    __builtin_memcpy(&x, at, sizeof x);
+// The bytes STEP places later, after zeros.
+template <int STEP, int... I> FN Bytes later(Bytes x, List<int, I...>) {
+    return TWO_OF(Bytes(0), x, I < STEP ? I : COUNT + I - STEP);
+}
+
+// Each byte and those before it in the vector, added up modulo 256.
+template <int STEP = 1> FN Bytes running_sums(Bytes x) {
+    x += later<STEP>(x, BYTE_PLACES);
+    if constexpr (2 * STEP < COUNT) return running_sums<2 * STEP>(x);
     return x;
 }
-template <class W> FN void put_words(void* at, W x) { __builtin_memcpy(at, &x, sizeof x); }
-template <class Some> FN void each_eight(Long size, const Some& some) {
-    Long i = 0;
-    for (; i + EIGHTS <= size; i += EIGHTS) some(Words(), i);
-    for (; i < size; i++) some(Word64(), i);
+
+// The last byte in all places.
+template <int... I> FN Bytes last_of(Bytes x, List<int, I...>) {
+    return TWO_OF(x, x, 0 * I + COUNT - 1);
 }
 
-// In each of four lanes of 16 bits, the sum of those before it and its own.
-template <class W> FN W sum_lanes(W x) {
-    x += x << 16;
-    return x + (x << 32);
-}
-
-// A half of the bytes of two streams, in turn.
-template <class W> using BytesOf = byte __attribute__((ext_vector_type(sizeof(W))));
-template <int FIRST, class W, int... I> FN W in_turn(W low, W high, List<int, I...>) {
-    constexpr int COUNT = sizeof(W);
-    const auto a = __builtin_bit_cast(BytesOf<W>, low), b = __builtin_bit_cast(BytesOf<W>, high);
-    return __builtin_bit_cast(W, BytesOf<W>(TWO_OF(a, b, FIRST + I / 2 + I % 2 * COUNT)));
-}
-
-// Running sums of some bytes, modulo 256.
-struct Sums {
-    Word64 odd[PIECE], less[PIECE], before[PIECE];
-    Word64 total;
-
-    // Those of odd places in lanes, with bits above; what even places are less; what comes before.
-    FN_MEMBER void add(const byte* differences, Long size) {
-        each_eight(size, PIXELS(auto one, Long i) {
-            typedef decltype(one) W;
-            const W eight = words_at<W>(differences + EIGHT * i) ^ TOPS, high = eight >> 8 & BYTES;
-            put_words<W>(less + i, high);
-            put_words<W>(odd + i, sum_lanes<W>((eight & BYTES) + high));
-        });
-        for (Long i = 0; i < size; i++) {
-            before[i] = total;
-            total += odd[i] >> 48;
-        }
-    }
-    template <class W> FN_MEMBER W at(Long i) const {
-        const W lane = words_at<W>(before + i) & LOW, two = lane | lane << 16;
-        const W sums = words_at<W>(odd + i) + (two | two << 32);
-        return ((sums - words_at<W>(less + i)) & BYTES) | (sums & BYTES) << 8;
-    }
-};
-
-static void unpredict_eights(const byte* differences, Long count, byte low, byte high, byte* out) {
-    Sums lows, highs;
-    lows.total = low;
-    highs.total = high;
-    for (Long first = 0; first < count; first += PIECE) {
-        const Long size = smaller<Long>(PIECE, count - first);
-        lows.add(differences + EIGHT * first, size);
-        highs.add(differences + EIGHT * (count + first), size);
-        each_eight(size, PIXELS(auto one, Long i) {
-            typedef decltype(one) W;
-            const W a = lows.at<W>(i), b = highs.at<W>(i);
-            const __make_integer_seq<List, int, sizeof(W)> places;
-            byte* to = out + 2 * EIGHT * (first + i);
-            put_words<W>(to, in_turn<0, W>(a, b, places));
-            put_words<W>(to + sizeof(W), in_turn<int(sizeof(W)) / 2, W>(a, b, places));
-        });
-    }
+// A half of the bytes of two vectors, in turn.
+template <int FIRST, int... I> FN Bytes in_turn(Bytes low, Bytes high, List<int, I...>) {
+    return TWO_OF(low, high, FIRST + I / 2 + I % 2 * COUNT);
 }
 
 static void unpredict_bytes(Long, Long, View<const byte, 1> differences, View<Word16, 1> words) {
-    const Long half = words.size[0];
-    byte low = MIDDLE, high = MIDDLE;
-    for (Long i = 0; i < half; i++) high = byte(high + differences.at[i] - MIDDLE);
-    if (half % EIGHT == 0) {
-        return unpredict_eights(differences.at, half / EIGHT, low, high, (byte*)words.at);
+    const Long half = words.size[0], whole = half / COUNT * COUNT;
+    const byte* lower = differences.at;
+    const byte* upper = differences.at + half;
+
+    // The differences of the upper bytes go on where those of the lower ones end.
+    Bytes sums = Bytes(0);
+    for (Long i = 0; i < whole; i += COUNT) sums += load<Bytes>(lower + i) - MIDDLE;
+    Bytes lows = Bytes(MIDDLE), highs = lows + last_of(running_sums(sums), BYTE_PLACES);
+    for (Long i = whole; i < half; i++) highs += byte(lower[i] - MIDDLE);
+
+    for (Long i = 0; i < whole; i += COUNT) {
+        const Bytes own_lows = running_sums(load<Bytes>(lower + i) - MIDDLE);
+        const Bytes own_highs = running_sums(load<Bytes>(upper + i) - MIDDLE);
+        const Bytes a = own_lows + lows, b = own_highs + highs;
+        const Bytes first = in_turn<0>(a, b, BYTE_PLACES);
+        const Bytes second = in_turn<COUNT / 2>(a, b, BYTE_PLACES);
+        store(words.at + i, first);
+        store(words.at + i + COUNT / 2, second);
+        lows += last_of(own_lows, BYTE_PLACES);
+        highs += last_of(own_highs, BYTE_PLACES);
     }
-    for (Long i = 0; i < half; i++) {
-        low = byte(low + differences.at[i] - MIDDLE);
-        high = byte(high + differences.at[half + i] - MIDDLE);
+    byte low = lows[0], high = highs[0];
+    for (Long i = whole; i < half; i++) {
+        low = byte(low + lower[i] - MIDDLE);
+        high = byte(high + upper[i] - MIDDLE);
         words.at[i] = Word16(low | high << 8);
     }
 }

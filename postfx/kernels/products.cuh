@@ -13,31 +13,29 @@ struct alignas(16) Eight {
 };
 
 #ifdef __CUDACC_RTC__
-__device__ inline unsigned shared_at(const void* at) {
-    return unsigned(__cvta_generic_to_shared(at));
-}
+FN unsigned shared_at(const void* at) { return unsigned(__cvta_generic_to_shared(at)); }
 
 // Begin to copy 16 bytes into the shared memory, zeros where there is nothing.
-__device__ inline void copy_eight(char* to, const char* from, bool there) {
+FN void copy_eight(char* to, const char* from, bool there) {
     asm volatile("cp.async.cg.shared.global [%0], [%1], 16, %2;" ::"r"(shared_at(to)), "l"(from),
                  "r"(there ? 16 : 0)
                  : "memory");
 }
 
-__device__ inline void wait_for_copies() {
+FN void wait_for_copies() {
     asm volatile("cp.async.wait_all;" ::: "memory");
 }
 
-__device__ inline void meet_group(int group) {
+FN void meet_group(int group) {
     asm volatile("bar.sync %0, %1;" ::"r"(group + 1), "n"(GROUP) : "memory");
 }
 
 // The next group begins when the one before it has given it its turn.
-__device__ inline void take_turn(int group) {
+FN void take_turn(int group) {
     asm volatile("bar.sync %0, %1;" ::"r"(group + 4), "n"(2 * GROUP) : "memory");
 }
 
-__device__ inline void give_turn(int group) {
+FN void give_turn(int group) {
     asm volatile("bar.arrive %0, %1;" ::"r"(group + 5), "n"(2 * GROUP) : "memory");
 }
 
@@ -48,7 +46,7 @@ struct alignas(16) Slot {
     int through;
 };
 
-__device__ inline void empty(Slot& slot) {
+FN void empty(Slot& slot) {
     slot.through = 0;
     asm volatile("mbarrier.init.shared::cta.b64 [%0], 1;\nfence.mbarrier_init.release.cluster;\n"
                  "fence.proxy.async.shared::cta;"
@@ -56,7 +54,7 @@ __device__ inline void empty(Slot& slot) {
 }
 
 // Begin to copy a part; one thread does it.
-__device__ inline void fill_slot(Slot& slot, char* to, const char* from, int bytes) {
+FN void fill_slot(Slot& slot, char* to, const char* from, int bytes) {
     asm volatile(
         "mbarrier.arrive.expect_tx.shared::cta.b64 _, [%0], %1;\n"
         "cp.async.bulk.shared::cluster.global.mbarrier::complete_tx::bytes [%2], [%3], %1, [%0];" ::
@@ -66,7 +64,7 @@ __device__ inline void fill_slot(Slot& slot, char* to, const char* from, int byt
 }
 
 // Wait until it has been filled more than `times` times.
-__device__ inline void wait_for_slot(Slot& slot, int times) {
+FN void wait_for_slot(Slot& slot, int times) {
     asm volatile(
         "{\n.reg .pred p;\nagain:\nmbarrier.try_wait.parity.shared::cta.b64 p, [%0], %1;\n@!p bra "
         "again;\n}" ::"r"(shared_at(&slot.filled)),
@@ -75,19 +73,17 @@ __device__ inline void wait_for_slot(Slot& slot, int times) {
 }
 
 // This warp is through with a part: whether it is the last one of so many.
-__device__ inline bool leave_slot(Slot& slot, int warps) {
+FN bool leave_slot(Slot& slot, int warps) {
     __threadfence_block();
     const bool last = (atomicAdd(&slot.through, 1) + 1) % warps == 0;
     __threadfence_block();
     return last;
 }
 
-__device__ inline Two from_lane(Two value, int mask) {
-    return __shfl_xor_sync(~0u, value, mask);
-}
+FN Two from_lane(Two value, int mask) { return __shfl_xor_sync(~0u, value, mask); }
 
 // Four matrices of 8x8 halves; each thread says where one row begins.
-__device__ inline void load_matrices(Two (&to)[4], const char* row) {
+FN void load_matrices(Two (&to)[4], const char* row) {
     asm volatile("ldmatrix.sync.aligned.m8n8.x4.shared.b16 {%0, %1, %2, %3}, [%4];"
                  : "=r"(to[0]), "=r"(to[1]), "=r"(to[2]), "=r"(to[3])
                  : "r"(shared_at(row))
@@ -95,7 +91,7 @@ __device__ inline void load_matrices(Two (&to)[4], const char* row) {
 }
 
 // sums += left (16x16) * right (16x8) of a warp, added in single precision.
-__device__ inline void add_product(float* sums, const Two (&left)[4], Two upper, Two lower) {
+FN void add_product(float* sums, const Two (&left)[4], Two upper, Two lower) {
     asm volatile(
         "mma.sync.aligned.m16n8k16.row.col.f32.f16.f16.f32 {%0, %1, %2, %3}, {%4, %5, %6, %7}, "
         "{%8, %9}, "
@@ -104,23 +100,21 @@ __device__ inline void add_product(float* sums, const Two (&left)[4], Two upper,
         : "r"(left[0]), "r"(left[1]), "r"(left[2]), "r"(left[3]), "r"(upper), "r"(lower));
 }
 
-__device__ inline float saturated(float x) {
-    return __saturatef(x);
-}
+FN float saturated(float x) { return __saturatef(x); }
 
-__device__ inline Two rounded(float first, float second) {
+FN Two rounded(float first, float second) {
     Two both;
     asm("cvt.rn.f16x2.f32 %0, %1, %2;" : "=r"(both) : "f"(second), "f"(first));
     return both;
 }
 
-__device__ inline Two sum(Two a, Two b) {
+FN Two sum(Two a, Two b) {
     Two both;
     asm("add.rn.f16x2 %0, %1, %2;" : "=r"(both) : "r"(a), "r"(b));
     return both;
 }
 
-__device__ inline Two larger(Two a, Two b) {
+FN Two larger(Two a, Two b) {
     Two both;
     asm("max.f16x2 %0, %1, %2;" : "=r"(both) : "r"(a), "r"(b));
     return both;
@@ -131,7 +125,7 @@ __device__ inline Two larger(Two a, Two b) {
 // and across.
 typedef unsigned long long Matrices;
 
-__device__ inline Matrices matrices(const char* at, int along, int across) {
+FN Matrices matrices(const char* at, int along, int across) {
     return Matrices(shared_at(at) >> 4 & 0x3fff) | Matrices(along >> 4) << 16
            | Matrices(across >> 4) << 32;
 }
@@ -142,31 +136,32 @@ template <int COUNT>
 __device__ void multiply(float (&sums)[COUNT], const Two (&left)[4], Matrices right);
 
 // What this thread has put into shared memory is there for products.
-__device__ inline void show_to_products() {
+FN void show_to_products() {
     asm volatile("fence.proxy.async.shared::cta;" ::: "memory");
 }
 
-__device__ inline void begin_products() {
+FN void begin_products() {
     asm volatile("wgmma.fence.sync.aligned;" ::: "memory");
 }
 
 // Of products that have begun, wait for all but those since the last call: the factors before them
 // can be loaded anew.
 template <int STEPS>
-__device__ inline void end_products_before(Two (&left)[STEPS][4]) {
+FN void end_products_before(Two (&left)[STEPS][4]) {
     asm volatile("wgmma.commit_group.sync.aligned;\nwgmma.wait_group.sync.aligned 1;" ::: "memory");
-#pragma unroll
-    for (int i = 0; i < 4 * STEPS; i++) asm volatile("" : "+r"(left[i / 4][i % 4])::"memory");
+    UNROLL for (int i = 0; i < 4 * STEPS; i++) {
+        asm volatile("" : "+r"(left[i / 4][i % 4])::"memory");
+    }
 }
 
 // Wait for all products: the sums are there.
 template <int COUNT, int STEPS>
-__device__ inline void end_products(float (&sums)[COUNT], Two (&left)[STEPS][4]) {
+FN void end_products(float (&sums)[COUNT], Two (&left)[STEPS][4]) {
     asm volatile("wgmma.commit_group.sync.aligned;\nwgmma.wait_group.sync.aligned 0;" ::: "memory");
-#pragma unroll
-    for (int i = 0; i < COUNT; i++) asm volatile("" : "+f"(sums[i])::"memory");
-#pragma unroll
-    for (int i = 0; i < 4 * STEPS; i++) asm volatile("" : "+r"(left[i / 4][i % 4])::"memory");
+    UNROLL for (int i = 0; i < COUNT; i++) asm volatile("" : "+f"(sums[i])::"memory");
+    UNROLL for (int i = 0; i < 4 * STEPS; i++) {
+        asm volatile("" : "+r"(left[i / 4][i % 4])::"memory");
+    }
 }
 #endif
 #endif
@@ -177,17 +172,16 @@ struct Matrices {
     int along, across;
 };
 
-__device__ inline Matrices matrices(const char* at, int along, int across) {
+FN Matrices matrices(const char* at, int along, int across) {
     return {at, along, across};
 }
 
 // sums += left (16x16 of each warp) * right (16 x 2 COUNT), in the layout that warpgroups have.
 template <int COUNT>
-__device__ inline void multiply(float (&sums)[COUNT], const Two (&left)[4], Matrices right) {
+FN void multiply(float (&sums)[COUNT], const Two (&left)[4], Matrices right) {
     const int lane = threadIdx.x % 32;
     Two b[4];
-#pragma unroll
-    for (int i = 0; i < COUNT; i += 8) {
+    UNROLL for (int i = 0; i < COUNT; i += 8) {
         load_matrices(
             b, right.at + (2 * i + lane / 16 * 8 + lane % 8) * 16 + lane / 8 % 2 * right.along);
         add_product(sums + i, left, b[0], b[1]);
@@ -195,12 +189,12 @@ __device__ inline void multiply(float (&sums)[COUNT], const Two (&left)[4], Matr
     }
 }
 
-__device__ inline void show_to_products() {}
-__device__ inline void begin_products() {}
+FN void show_to_products() {}
+FN void begin_products() {}
 template <int STEPS>
-__device__ inline void end_products_before(Two (&)[STEPS][4]) {}
+FN void end_products_before(Two (&)[STEPS][4]) {}
 template <int COUNT, int STEPS>
-__device__ inline void end_products(float (&)[COUNT], Two (&)[STEPS][4]) {}
+FN void end_products(float (&)[COUNT], Two (&)[STEPS][4]) {}
 #endif
 
 #ifdef __CUDACC_RTC__

@@ -1,11 +1,13 @@
 // How Python calls rows: `int name(const Word* words, void*)`. Words are the first row and the one
 // after the last, and of each array its address and its lengths.
 //
-//     static void half_rows(Long first, Long last, View<const float, 2> image, View<float, 2> out);
-//     EXPORT(half, half_rows)
+//     static void half_row(Long y, View<const float, 2> image, View<float, 2> out);
+//     EXPORT(half, half_row)
 //
-// Rows that need memory of their own return a Status. The library also tells what a name takes, so
-// that Python compares its table with it.
+// A function of a row is called for each of them. One that makes something for all rows before is
+// given the first and the last: half_rows(Long first, Long last, ...). If it needs memory of its
+// own, it returns a Status. The library also tells what a name takes, so that Python compares its
+// table with it.
 #pragma once
 #include "number.h"
 
@@ -31,7 +33,12 @@ template <class T, int AXES> struct View {
     }
 };
 
-typedef View<const float, 1> Places;  // rows or columns of a picture
+// Rows or columns of a picture; numbers of its pixels, one of each or several, read or written.
+typedef View<const float, 1> Places;
+typedef View<const float, 2> Plane;
+typedef View<const float, 3> Picture;
+typedef View<float, 2> NewPlane;
+typedef View<float, 3> NewPicture;
 
 // A small array of numbers that have names.
 template <class T> struct Given {
@@ -64,6 +71,25 @@ template <class T> struct Room {
     Room(const Room&) = delete;
     explicit operator bool() const { return at != nullptr; }
 };
+
+// Calls use(Is) with a flag that the compiler knows: each has code of its own.
+template <bool VALUE> struct Is {
+    constexpr bool operator()() const { return VALUE; }
+};
+template <class Use> FN void with_flag(bool value, const Use& use) {
+    if (value) use(Is<true>());
+    else use(Is<false>());
+}
+
+// Numbers of a row from one on.
+FN void fill(float* row, Long first, Long last, float value) {
+    for (Long x = first; x < last; x++) row[x] = value;
+}
+// A row with a number more on either side: its first and its last one once more.
+FN void repeat_edges(float* row, Long count) {
+    row[0] = row[1];
+    row[count + 1] = row[count];
+}
 
 // Calls.
 
@@ -101,6 +127,18 @@ template <class... A> struct Call {
 template <class R, class... A> int call(R (*rows)(Long, Long, A...), const Word* words) {
     const Word* rest = words + 2;
     return Call<A...>{rows, words[0], words[1], Taken<A>::from(rest)...}.status;  // in this order
+}
+
+// What is called for a kernel's rows: its function, or that of one row for each of them.
+template <auto ROW, class... A> void each_row(Long first, Long last, A... arrays) {
+    for (Long y = first; y < last; y++) [[clang::always_inline]] ROW(y, arrays...);
+}
+template <auto, class... A> constexpr auto rows_of(Status (*rows)(Long, Long, A...)) {
+    return rows;
+}
+template <auto, class... A> constexpr auto rows_of(void (*rows)(Long, Long, A...)) { return rows; }
+template <auto ROW, class... A> constexpr auto rows_of(void (*)(Long, A...)) {
+    return each_row<ROW, A...>;
 }
 
 // Kinds of arguments in five letters each: type, axes, and whether they are only read.
@@ -151,9 +189,10 @@ template <class R, class... A> const char* kinds_of(R (*)(Long, Long, A...)) {
     return kinds.text;
 }
 
-#define EXPORT_ONE(name, rows)                                                \
-    EXPORTED int name(const Word* words, void*) { return call(rows, words); } \
-    EXPORTED const char* name##_takes() { return kinds_of(rows); }
+#define EXPORT_ONE(name, rows)                                                         \
+    static constexpr auto name##_called = rows_of<rows>(rows);                         \
+    EXPORTED int name(const Word* words, void*) { return call(name##_called, words); } \
+    EXPORTED const char* name##_takes() { return kinds_of(name##_called); }
 #define EXPORT_NONE(name, rows)
 
 // A library of a wheel has all kernels. A checkout compiles those of a file together when one of
@@ -171,8 +210,14 @@ template <class R, class... A> const char* kinds_of(R (*)(Long, Long, A...)) {
 #define EXPORT_ALONE(name, rows) EXPORT_ONE(name, rows)
 #endif
 
-// Work on pixels `first` to `last` - 1 of a row: pixels(F(), x) makes those from x on, as many as F
-// has numbers. Some may be made twice, so they must not be read from where they are written.
+// Work on pixels `first` to `last` - 1 of a row. What is done to those from x on, as many as F has
+// numbers, is a function of the type F and of x:
+//
+//     across(0, width, EACH(F, Long x) { store<F>(out + x, 0.5f * load<F>(from + x)); });
+//
+// Some may be made twice, so they must not be read from where they are written.
+#define EACH(F, ...) [&]<class F>(F, __VA_ARGS__) __attribute__((always_inline))
+// A function of some pixels that is not of a type.
 #define PIXELS(...) [&](__VA_ARGS__) __attribute__((always_inline))
 template <class Pixels> FN void across(Long first, Long last, const Pixels& pixels) {
     if (last - first < WIDE) {

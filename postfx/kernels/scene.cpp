@@ -2,8 +2,6 @@
 #include "rows.h"
 #include "scene.h"
 
-typedef View<const float, 3> Picture;
-
 static void scene_points_rows(Long first, Long last, Given<SceneCamera> camera,
                               Given<SceneBox> box, Picture depth, Picture normal,
                               View<float, 2> points) {
@@ -11,9 +9,7 @@ static void scene_points_rows(Long first, Long last, Given<SceneCamera> camera,
     for (Long y = first / width; y * width < last; y++) {
         const Long start = y * width;
         const float row = camera->at_row(int(y), int(height));
-        across(larger<Long>(first - start, 0), smaller<Long>(last - start, width),
-               PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(larger<Long>(first - start, 0), smaller<Long>(last - start, width), EACH(F, Long x) {
             const float* facing = normal(y, x);
             const F normals[3] = {pick<F, 3>(facing), pick<F, 3>(facing + 1),
                                   pick<F, 3>(facing + 2)};
@@ -26,21 +22,18 @@ static void scene_points_rows(Long first, Long last, Given<SceneCamera> camera,
 }
 EXPORT(scene_points, scene_points_rows)
 
-static void scene_light_rows(Long first, Long last, View<const float, 2> values, Picture diffuse,
-                             Picture specular, Picture colour, View<float, 3> output) {
+static void scene_light_row(Long y, View<const float, 2> values, Picture diffuse, Picture specular,
+                            Picture colour, View<float, 3> output) {
     const Long width = output.size[1];
-    for (Long y = first; y < last; y++) {
-        across(0, width, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
-            F given[3], albedo[3], light[3];
-            for (int c = 0; c < 3; c++) {
-                given[c] = pick<F, 3>(values(y * width + x) + c);
-                albedo[c] = pick<F, 3>(diffuse(y, x) + c) + pick<F, 3>(specular(y, x) + c);
-                light[c] = pick<F, 3>(colour(y, x) + c);
-            }
-            shade<F>(given, albedo, light);
-            store_triples<F>(output(y, x), light[0], light[1], light[2]);
-        });
-    }
+    across(0, width, EACH(F, Long x) {
+        F given[3], albedo[3], light[3];
+        for (int c = 0; c < 3; c++) {
+            given[c] = pick<F, 3>(values(y * width + x) + c);
+            albedo[c] = pick<F, 3>(diffuse(y, x) + c) + pick<F, 3>(specular(y, x) + c);
+            light[c] = pick<F, 3>(colour(y, x) + c);
+        }
+        shade<F>(given, albedo, light);
+        store_triples<F>(output(y, x), light[0], light[1], light[2]);
+    });
 }
-EXPORT(scene_light, scene_light_rows)
+EXPORT(scene_light, scene_light_row)

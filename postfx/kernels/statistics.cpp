@@ -2,8 +2,6 @@
 #include "statistics.h"
 #include "rows.h"
 
-typedef View<const float, 3> Picture;
-typedef View<const float, 2> Plane;
 typedef View<const unsigned, 1> Bits;
 typedef View<const Long, 1> Lengths;
 typedef View<const double, 2> Columns;
@@ -64,8 +62,7 @@ static void same_rows(Long, Long, Places one, Places other, View<bool, 1> same) 
     for (Long first = 0; first < count && *same.at; first += PIECE) {
         Wide wide = Wide(0.0f);
         float single = 0.0f;
-        across(first, smaller<Long>(first + PIECE, count), PIXELS(auto kind, Long i) {
-            typedef decltype(kind) F;
+        across(first, smaller<Long>(first + PIECE, count), EACH(F, Long i) {
             const F a = load<F>(one.at + i), b = load<F>(other.at + i);
             const F yes = F(1.0f), no = F(0.0f), number = b == b ? yes : no;
             const F unlike = a == b ? no : a == a ? yes : number;
@@ -82,13 +79,12 @@ EXPORT_ALONE(is_same_plane, same_rows)
 
 ONCE void add_lights(const float* row, Long width, double* total, double* brightest,
                      double* unknown) {
-    across_once(0, width, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across_once(0, width, EACH(F, Long x) {
         const Light<F> found = light_of<F>(row + 3 * x);
-        const Double<F> most = load_double<F>(brightest + x);
-        store_double(total + x, load_double<F>(total + x) + found.light);
-        store_double(brightest + x, found.light > most ? found.light : most);
-        store_double(unknown + x, load_double<F>(unknown + x) + found.unknown);
+        const Double<F> most = load<Double<F>>(brightest + x);
+        store(total + x, load<Double<F>>(total + x) + found.light);
+        store(brightest + x, found.light > most ? found.light : most);
+        store(unknown + x, load<Double<F>>(unknown + x) + found.unknown);
     });
 }
 
@@ -172,39 +168,33 @@ EXPORT(half_means, half_rows)
 
 // Means of two pairs of pixels of each whole block. Each pair lies on a diagonal, a quarter of the
 // block from its corners. Means that are not finite become 0.
-static void pair_rows(Long first, Long last, Picture plane, Lengths side, View<double, 4> means) {
+static void pair_row(Long j, Picture plane, Lengths side, View<double, 4> means) {
     const Long block = *side.at, near = block / 4, far = block - 1 - near;
-    for (Long j = first; j < last; j++) {
-        for (Long i = 0; i < means.size[1]; i++) {
-            for (Long pair = 0; pair < 2; pair++) {
-                const Long left = i * block + (pair ? far : near);
-                const Long right = i * block + (pair ? near : far);
-                const float* upper = plane(j * block + near, left);
-                const float* lower = plane(j * block + far, right);
-                double* out = means(j, i, pair);
-                for (Long c = 0; c < means.size[3]; c++) {
-                    const double mean = (double(upper[c]) + double(lower[c])) / 2.0;
-                    out[c] = size_of(mean) < __builtin_inf() ? mean : 0.0;
-                }
+    for (Long i = 0; i < means.size[1]; i++) {
+        for (Long pair = 0; pair < 2; pair++) {
+            const Long left = i * block + (pair ? far : near);
+            const Long right = i * block + (pair ? near : far);
+            const float* upper = plane(j * block + near, left);
+            const float* lower = plane(j * block + far, right);
+            double* out = means(j, i, pair);
+            for (Long c = 0; c < means.size[3]; c++) {
+                const double mean = (double(upper[c]) + double(lower[c])) / 2.0;
+                out[c] = size_of(mean) < __builtin_inf() ? mean : 0.0;
             }
         }
     }
 }
-EXPORT(pair_means, pair_rows)
+EXPORT(pair_means, pair_row)
 
 // The least or the largest of each column of rows of a plane, from what is given before.
 template <bool LARGEST>
 ONCE void extreme_of(Plane plane, Long first, Long last, float* found) {
     for (Long y = first; y < last; y++) {
-        across_once(0, plane.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across_once(0, plane.size[1], EACH(F, Long x) {
             const F value = load<F>(plane(y) + x), before = load<F>(found + x);
             store<F>(found + x, LARGEST ? larger<F>(value, before) : smaller<F>(value, before));
         });
     }
-}
-FN void fill(float* row, Long count, float value) {
-    for (Long x = 0; x < count; x++) row[x] = value;
 }
 
 // The lowest and highest value, 0 to 1, in each cell of so many pixels along a side.
@@ -216,8 +206,8 @@ static Status bounds_rows(Long first, Long last, Plane plane, Lengths side, View
     float *least = room.at, *most = least + w;
     for (Long j = first; j < last; j++) {
         const Long begin = j * block, end = smaller<Long>(begin + block, h);
-        fill(least, w, 1.0f);
-        fill(most, w, 0.0f);
+        fill(least, 0, w, 1.0f);
+        fill(most, 0, w, 0.0f);
         extreme_of<false>(plane, begin, end, least);
         extreme_of<true>(plane, begin, end, most);
         for (Long i = 0; i < low.size[1]; i++) {
@@ -240,7 +230,7 @@ static Status positive_rows(Long first, Long last, Plane plane, Lengths side, Vi
     const Room<float> most(w);
     if (!most) return NO_MEMORY;
     for (Long j = first; j < last; j++) {
-        fill(most.at, w, 0.0f);
+        fill(most.at, 0, w, 0.0f);
         extreme_of<true>(plane, j * block, smaller<Long>((j + 1) * block, h), most.at);
         for (Long x = 0; x < w; x++) {
             if (most.at[x] > 0.0f) cells(j)[x / block] = true;
@@ -251,48 +241,41 @@ static Status positive_rows(Long first, Long last, Plane plane, Lengths side, Vi
 EXPORT_ALONE(mark_positive, positive_rows)
 
 // Sets cells of side x side pixels that are not 0 everywhere.
-static void lit_rows(Long first, Long last, View<const unsigned, 3> plane, Lengths side,
-                     View<bool, 2> cells) {
+static void lit_row(Long j, View<const unsigned, 3> plane, Lengths side, View<bool, 2> cells) {
     const Long h = plane.size[0], w = plane.size[1], channels = plane.size[2], block = *side.at;
-    for (Long j = first; j < last; j++) {
-        const Long end = smaller<Long>((j + 1) * block, h);
-        for (Long y = j * block; y < end; y++) {
-            for (Long x = 0; x < w; x += block) {
-                const unsigned* from = plane(y, x);
-                const Long width = smaller<Long>(block, w - x);
-                unsigned any = 0;
-                for (Long i = 0; i < width * channels; i++) any |= from[i];
-                if (any & 0x7FFFFFFF) cells(j)[x / block] = true;
-            }
+    const Long end = smaller<Long>((j + 1) * block, h);
+    for (Long y = j * block; y < end; y++) {
+        for (Long x = 0; x < w; x += block) {
+            const unsigned* from = plane(y, x);
+            const Long width = smaller<Long>(block, w - x);
+            unsigned any = 0;
+            for (Long i = 0; i < width * channels; i++) any |= from[i];
+            if (any & 0x7FFFFFFF) cells(j)[x / block] = true;
         }
     }
 }
-EXPORT_ALONE(mark_lit, lit_rows)
+EXPORT_ALONE(mark_lit, lit_row)
 
 // How many of every second row's pixels, but for the first and the last, are a hit where at least
 // three of four neighbours are misses, or the other way round.
-static void odd_rows(Long first, Long last, Plane depth, Places farthest, View<float, 1> odd) {
-    for (Long n = first; n < last; n++) {
-        const Long y = 2 * n + 1;
-        const float *above = depth(y - 1), *row = depth(y), *below = depth(y + 1);
-        const float far = *farthest.at;
-        Wide wide = Wide(0.0f);
-        float single = 0.0f;
-        across_once(1, depth.size[1] - 1, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
-            const F beside =
-                hit_of<F>(load<F>(row + x - 1), far) + hit_of<F>(load<F>(row + x + 1), far);
-            const F around =
-                hit_of<F>(load<F>(above + x), far) + hit_of<F>(load<F>(below + x), far);
-            const F found = is_odd<F>(hit_of<F>(load<F>(row + x), far), around + beside);
-            if constexpr (Of<F>::COUNT == 1) single += found;
-            else wide += found;
-        });
-        for (int i = 0; i < WIDE; i++) single += wide[i];
-        odd.at[n] = single;
-    }
+static void odd_row(Long n, Plane depth, Places farthest, View<float, 1> odd) {
+    const Long y = 2 * n + 1;
+    const float *above = depth(y - 1), *row = depth(y), *below = depth(y + 1);
+    const float far = *farthest.at;
+    Wide wide = Wide(0.0f);
+    float single = 0.0f;
+    across_once(1, depth.size[1] - 1, EACH(F, Long x) {
+        const F beside =
+            hit_of<F>(load<F>(row + x - 1), far) + hit_of<F>(load<F>(row + x + 1), far);
+        const F around = hit_of<F>(load<F>(above + x), far) + hit_of<F>(load<F>(below + x), far);
+        const F found = is_odd<F>(hit_of<F>(load<F>(row + x), far), around + beside);
+        if constexpr (Of<F>::COUNT == 1) single += found;
+        else wide += found;
+    });
+    for (int i = 0; i < WIDE; i++) single += wide[i];
+    odd.at[n] = single;
 }
-EXPORT(coverage_noise, odd_rows)
+EXPORT(coverage_noise, odd_row)
 
 // The coarse grid.
 
@@ -305,9 +288,8 @@ FN void box_row(const Cells& planes, Long y, Long width, double* line, double* m
     for (Long i = 0; i < count; i++) inner[i] = 0.0;
     for (Long v = y - near; v <= y + near; v++) {
         const double* row = planes(clip(v, rows));
-        across_once(0, count, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
-            store_double(inner + i, load_double<F>(inner + i) + load_double<F>(row + i));
+        across_once(0, count, EACH(F, Long i) {
+            store(inner + i, load<Double<F>>(inner + i) + load<Double<F>>(row + i));
         });
     }
     for (Long i = 0; i < near * channels; i++) {
@@ -315,11 +297,10 @@ FN void box_row(const Cells& planes, Long y, Long width, double* line, double* m
         inner[count + i] = inner[count - channels + i % channels];
     }
     const double share = 1.0 / double(width * width);
-    across(0, count, PIXELS(auto one, Long i) {
-        typedef decltype(one) F;
-        Double<F> sum = load_double<F>(line + i);
-        for (Long u = 1; u < width; u++) sum += load_double<F>(line + u * channels + i);
-        store_double(means + i, sum * share);
+    across(0, count, EACH(F, Long i) {
+        Double<F> sum = load<Double<F>>(line + i);
+        for (Long u = 1; u < width; u++) sum += load<Double<F>>(line + u * channels + i);
+        store(means + i, sum * share);
     });
 }
 
@@ -352,22 +333,16 @@ template <class Term> FN double sum_of(Long count, const Term& term) {
     AS_IT_IS for (; i < count; i++) total += term(double(), i);
     return total;
 }
-template <class D> FN D numbers_at(const double* at) {
-    D x;
-    __builtin_memcpy(&x, at, sizeof x);
-    return x;
-}
 
 ONCE double mean_of(const double* x, Long count) {
-    return sum_of(count, PIXELS(auto kind, Long i) {
-        return numbers_at<decltype(kind)>(x + i);
+    return sum_of(count, EACH(D, Long i) {
+        return load<D>(x + i);
     }) / double(count);
 }
 ONCE double sum_of_products(const double* x, double mean_x, const double* y, double mean_y,
                             Long count) {
-    return sum_of(count, PIXELS(auto kind, Long i) {
-        typedef decltype(kind) D;
-        return (numbers_at<D>(x + i) - mean_x) * (numbers_at<D>(y + i) - mean_y);
+    return sum_of(count, EACH(D, Long i) {
+        return (load<D>(x + i) - mean_x) * (load<D>(y + i) - mean_y);
     });
 }
 
@@ -380,24 +355,22 @@ ONCE void add_moments(const double* a, const double* b, Long count, double* foun
 }
 
 // Light (rows, columns) of a picture at some of its rows and columns; what is no number counts as 0.
-static void picked_rows(Long first, Long last, Picture colour, Lengths rows, Lengths columns,
-                        View<float, 2> light) {
+static void picked_row(Long y, Picture colour, Lengths rows, Lengths columns,
+                       View<float, 2> light) {
     constexpr float LARGEST = 1e30f;  // that counts: sums of it are finite
     constexpr float WEIGHTS[3] = {0.2126f, 0.7152f, 0.0722f};  // of Rec.709's luminance
-    for (Long y = first; y < last; y++) {
-        const float* row = colour(rows.at[y]);
-        for (Long x = 0; x < columns.size[0]; x++) {
-            const float* pixel = row + 3 * columns.at[x];
-            float sum = 0.0f;
-            for (int c = 0; c < 3; c++) {
-                const float lit = smaller<float>(larger<float>(pixel[c], 0.0f), LARGEST);
-                sum += WEIGHTS[c] * (pixel[c] == pixel[c] ? lit : pixel[c]);
-            }
-            light(y)[x] = sum == sum ? sum : 0.0f;
+    const float* row = colour(rows.at[y]);
+    for (Long x = 0; x < columns.size[0]; x++) {
+        const float* pixel = row + 3 * columns.at[x];
+        float sum = 0.0f;
+        for (int c = 0; c < 3; c++) {
+            const float lit = smaller<float>(larger<float>(pixel[c], 0.0f), LARGEST);
+            sum += WEIGHTS[c] * (pixel[c] == pixel[c] ? lit : pixel[c]);
         }
+        light(y)[x] = sum == sum ? sum : 0.0f;
     }
 }
-EXPORT(pick_light, picked_rows)
+EXPORT(pick_light, picked_row)
 
 // A cell, and where its motion leads, in cells.
 struct Moved {

@@ -21,12 +21,6 @@ FN double widen(float x) { return double(x); }
 FN WideDouble widen(Wide x) { return __builtin_convertvector(x, WideDouble); }
 FN double size_of(double x) { return __builtin_fabs(x); }
 FN WideDouble size_of(WideDouble x) { return __builtin_elementwise_abs(x); }
-template <class F> FN Double<F> load_double(const double* at) {
-    Double<F> x;
-    __builtin_memcpy(&x, at, sizeof x);
-    return x;
-}
-template <class D> FN void store_double(double* at, D x) { __builtin_memcpy(at, &x, sizeof x); }
 
 // A pixel's luminance by Rec.709, 0 where it is negative or not finite, and whether it is the
 // latter.

@@ -39,8 +39,7 @@ static Status lowres_rows(Long first, Long last, Picture colour, Given<Shaping> 
     for (Long y = first; y < last; y++) {
         const Shares rows(y, height);
         for (Long j = 0; j < rows.count; j++) down[j] = rows.share(j);
-        across(0, width, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, width, EACH(F, Long x) {
             Colour<F> sum = {F(0.0f), F(0.0f), F(0.0f)};
             for (Long j = 0; j < rows.count; j++) {
                 const float share = down[j];
@@ -68,51 +67,43 @@ EXPORT(lowres, lowres_rows)
 
 // Steadiness.
 
-static void light_rows(Long first, Long last, View<const float, 4> lowres, View<float, 2> light) {
-    for (Long y = first; y < last; y++) {
-        for (int c = 0; c < 3; c++) {
-            const float* row = lowres(0, c, y);
-            double total = 0.0;
-            for (int x = 0; x < SIDE; x++) total += row[x];
-            light(y)[c] = float(total / SIDE);
-        }
+static void light_row(Long y, View<const float, 4> lowres, View<float, 2> light) {
+    for (int c = 0; c < 3; c++) {
+        const float* row = lowres(0, c, y);
+        double total = 0.0;
+        for (int x = 0; x < SIDE; x++) total += row[x];
+        light(y)[c] = float(total / SIDE);
     }
 }
-EXPORT(light, light_rows)
+EXPORT(light, light_row)
 
 // In double precision, so that nothing depends on the order of the sum.
-static void follow_rows(Long first, Long last, View<const float, 2> light, Given<Following> params,
-                        View<const float, 2> before, View<float, 2> after) {
+static void follow_row(Long y, View<const float, 2> light, Given<Following> params,
+                       View<const float, 2> before, View<float, 2> after) {
     const Long count = light.size[0] * light.size[1];
-    for (Long y = first; y < last; y++) {
-        double total = 0.0;
-        for (Long i = 0; i < count; i++) total += light.at[i];
-        const Followed found = followed(total / double(count) / params->scale, *params, before(y));
-        const double numbers[4] = {found.kept, found.made_for, found.now, found.share};
-        for (int i = 0; i < 4; i++) after(y)[i] = float(numbers[i]);
-    }
+    double total = 0.0;
+    for (Long i = 0; i < count; i++) total += light.at[i];
+    const Followed found = followed(total / double(count) / params->scale, *params, before(y));
+    const double numbers[4] = {found.kept, found.made_for, found.now, found.share};
+    for (int i = 0; i < 4; i++) after(y)[i] = float(numbers[i]);
 }
-EXPORT(follow, follow_rows)
+EXPORT(follow, follow_row)
 
 // With nothing kept `previous` is not looked at, so it may hold anything.
-static void smooth_rows(Long first, Long last, View<const float, 5> previous,
-                        View<const float, 5> current, View<const float, 2> keep,
-                        View<float, 5> result) {
+static void smooth_row(Long y, View<const float, 5> previous, View<const float, 5> current,
+                       View<const float, 2> keep, View<float, 5> result) {
     const Long count = current.size[2] * current.size[3] * current.size[4];
     const float kept = keep.at[0];
-    for (Long y = first; y < last; y++) {
-        const float *before = previous(0, y), *now = current(0, y);
-        float* out = result(0, y);
-        across(0, count, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
-            const F value = load<F>(now + i), change = load<F>(before + i) - value;
-            const F mixed = value + kept * change;
-            const F found = size_of<F>(change) <= BROKEN ? mixed : value;
-            store<F>(out + i, kept > 0.0f ? found : value);
-        });
-    }
+    const float *before = previous(0, y), *now = current(0, y);
+    float* out = result(0, y);
+    across(0, count, EACH(F, Long i) {
+        const F value = load<F>(now + i), change = load<F>(before + i) - value;
+        const F mixed = value + kept * change;
+        const F found = size_of<F>(change) <= BROKEN ? mixed : value;
+        store<F>(out + i, kept > 0.0f ? found : value);
+    });
 }
-EXPORT(smooth, smooth_rows)
+EXPORT(smooth, smooth_row)
 
 // A double's logarithm and power of 2: series, to its last bits, for a normal x > 0 and |x| < 1000.
 FN double log2_of_double(double x) {
@@ -263,8 +254,7 @@ static Status slice_apply_rows(Long first, Long last, Picture colour, Given<Shap
         for (Long n = 0; n <= wide; n++) {
             const Long left = larger<Long>(n - 1, 0);
             const Span span = {row + left * count, more + n * count, levels};
-            across(spans.at[n], spans.at[n + 1], PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(spans.at[n], spans.at[n + 1], EACH(F, Long x) {
                 const Colour<F> seen = shaper.shape<F>(colour_at<F>(from + 3 * x));
                 const F level = ramps.level<F>(seen.r, seen.g, seen.b) * float(levels) - 0.5f;
                 const F depth = within<F>(level, 0.0f, float(levels - 1));

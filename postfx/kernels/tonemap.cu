@@ -19,16 +19,13 @@ extern "C" __global__ void lowres(View colour, View params, View matrix, View lo
 #pragma unroll 4
         for (int i = int(left); i < last_column; i++, pixel += 3) {
             const float wide = fminf(i + 1.0f, right) - fmaxf(float(i), left);
-            const Colour seen = shaped(by, pixel);
-            row = {row.r + wide * seen.r, row.g + wide * seen.g, row.b + wide * seen.b};
+            add(row, shaped(by, pixel), wide);
         }
-        sum = {sum.r + high * row.r, sum.g + high * row.g, sum.b + high * row.b};
+        add(sum, row, high);
     }
     const float share = 1.0f / ((bottom - top) * (right - left));
     const int here = y * SIDE + x, plane = SIDE * SIDE;
-    lowres.at[here] = sum.r * share;
-    lowres.at[plane + here] = sum.g * share;
-    lowres.at[2 * plane + here] = sum.b * share;
+    put(lowres.at + here, sum * share, plane);
 }
 
 // Means of rows and channels of the small copy: lowres (1, 3, 256, 256) -> light (256, 3).
@@ -96,21 +93,9 @@ extern "C" __global__ void expose(View previous, View current, View keep, View p
 // the result up in a cube: colour (height, width, 3), params (3,), matrix (9,), guide (112,), grid
 // (1, 16, 16, 8, 12), cube (size, size, size, 3) -> output (height, width, 3).
 
-// Shares of the two cells around a position along an axis.
-struct Cells {
-    int first, second;
-    float share;
-};
-
-__device__ inline Cells cells_at(float position, int count) {
-    const float at = fminf(fmaxf(position, 0.0f), float(count - 1));
-    const int first = int(at);
-    return {first, min(first + 1, count - 1), at - first};
-}
-
 // The guide's numbers as all threads of a block read them: every slope times the weight of its
 // channel.
-__device__ inline void read_guide(const View& guide, float* numbers) {
+FN void read_guide(const View& guide, float* numbers) {
     const int threads = blockDim.x * blockDim.y, thread = threadIdx.y * blockDim.x + threadIdx.x;
     for (int i = thread; i < GUIDE_SIZE; i += threads) {
         const bool slope = i >= SLOPES && i < MIX;
@@ -121,15 +106,13 @@ __device__ inline void read_guide(const View& guide, float* numbers) {
 
 // Level of a shaped colour in the grid, 0..1 before the clip: a sum of ramps over each channel of a
 // matrix's result.
-__device__ inline float level_of(const Colour& colour, const Four* numbers) {
+FN float level_of(const Colour& colour, const Four* numbers) {
     const float* const scalars = &numbers->x;
     float level = scalars[GUIDE_SIZE - 1];
-#pragma unroll
-    for (int c = 0; c < 3; c++) {
+    UNROLL for (int c = 0; c < 3; c++) {
         const float value = scalars[3 * c] * colour.r + scalars[3 * c + 1] * colour.g
                             + scalars[3 * c + 2] * colour.b + scalars[9 + c];
-#pragma unroll
-        for (int k = 0; k < KNOTS / 4; k++) {
+        UNROLL for (int k = 0; k < KNOTS / 4; k++) {
             const Four shift = numbers[(SHIFTS + c * KNOTS) / 4 + k],
                        slope = numbers[(SLOPES + c * KNOTS) / 4 + k];
             level += slope.x * fmaxf(value - shift.x, 0.0f) + slope.y * fmaxf(value - shift.y, 0.0f)
@@ -139,12 +122,12 @@ __device__ inline float level_of(const Colour& colour, const Four* numbers) {
     return level;
 }
 
-__device__ inline void add(float weight, const Four& from, Four& to) {
+FN void add(float weight, const Four& from, Four& to) {
     to = {to.x + weight * from.x, to.y + weight * from.y, to.z + weight * from.z,
           to.w + weight * from.w};
 }
 
-__device__ inline float applied(const Four& row, const Colour& colour) {
+FN float applied(const Four& row, const Colour& colour) {
     return row.x * colour.r + row.y * colour.g + row.z * colour.b + row.w;
 }
 
@@ -157,12 +140,11 @@ extern "C" __global__ void slice_apply(View colour, View params, View matrix, Vi
     const int cells_high = grid.size[1], cells_wide = grid.size[2], levels = grid.size[3];
     const int here = 3 * (y * width + x);
     const Colour seen = shaped(shaper(params, matrix), colour.at + here);
-    const Cells row = cells_at((y + 0.5f) * cells_high / height - 0.5f, cells_high);
-    const Cells column = cells_at((x + 0.5f) * cells_wide / width - 0.5f, cells_wide);
-    const Cells level = cells_at(level_of(seen, numbers) * levels - 0.5f, levels);
+    const Between row = between_cells((y + 0.5f) * cells_high / height - 0.5f, cells_high);
+    const Between column = between_cells((x + 0.5f) * cells_wide / width - 0.5f, cells_wide);
+    const Between level = between_cells(level_of(seen, numbers) * levels - 0.5f, levels);
     Four red = {0.0f, 0.0f, 0.0f, 0.0f}, green = red, blue = red;
-#pragma unroll
-    for (int corner = 0; corner < 8; corner++) {
+    UNROLL for (int corner = 0; corner < 8; corner++) {
         const int j = corner & 4 ? row.second : row.first,
                   i = corner & 2 ? column.second : column.first;
         const int k = corner & 1 ? level.second : level.first;
@@ -176,7 +158,5 @@ extern "C" __global__ void slice_apply(View colour, View params, View matrix, Vi
     }
     const Colour found = looked_up(cube,
                                    {applied(red, seen), applied(green, seen), applied(blue, seen)});
-    output.at[here] = found.r;
-    output.at[here + 1] = found.g;
-    output.at[here + 2] = found.b;
+    put(output.at + here, found);
 }

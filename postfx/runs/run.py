@@ -33,7 +33,15 @@ from postfx.plan import Plan, Skip
 from postfx.runs.folder import RunFolder, load_checkpoint
 from postfx.runs.locks import Process
 from postfx.runs.manifest import Output
-from postfx.runs.schedule import AUTO_PREROLL, EarlierRuns, Work, find_preroll, judge, schedule
+from postfx.runs.schedule import (
+    AUTO_PREROLL,
+    EarlierRuns,
+    Work,
+    fill_gaps,
+    find_preroll,
+    judge,
+    schedule,
+)
 from postfx.runtime import Device, Library
 from postfx.version import __version__
 
@@ -199,8 +207,8 @@ class Options:
         checkpoint: seconds of work between two checkpoints; None for none.
         rerun: finished frames to run again for the history of an unfinished one; None for as many
             as needed.
-        preroll: frames to run before the first one of the sequence; 'auto' for those that
-            `find_preroll` finds.
+        preroll: frames to run before the first one of the sequence, and before each that does
+            not follow the one before it; 'auto' for those that `find_preroll` finds.
     """
 
     log: str | None = None
@@ -372,8 +380,9 @@ class Run:
         numbers, options = self._sequence.numbers, self._options
         if not self._pipeline.remembers(self._plan):
             return [Work(number, True) for number in numbers if number in wanted]
-        works = schedule(numbers, wanted, self._known(), options.rerun, self._sequence.holds)
-        again = sum(not work.write for work in works)
+        filled = fill_gaps(self._sequence, numbers, options.preroll)
+        works = schedule(filled, wanted, self._known(), options.rerun, self._sequence.holds)
+        again = sum(not work.write and work.number in numbers for work in works)
         if again > MANY_RERUN_FRAMES and options.rerun is None:
             self.warnings.append(f"{again} finished frames are run again, for the history "
                                  "of unfinished ones: --resume 8 runs fewer and gives nearly the "

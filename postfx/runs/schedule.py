@@ -12,6 +12,7 @@ import os
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -151,17 +152,20 @@ class Chunk:
         preroll: of those that run before, without being written.
         ahead: of those that may be read after the last one, where a shot begins near the end.
         before: of the one before all of them, where motion is estimated from it.
+        between: of those that run between the frames, without being written.
     """
 
     frames: tuple[int, ...]
     preroll: tuple[int, ...] = ()
     ahead: tuple[int, ...] = ()
     before: tuple[int, ...] = ()
+    between: tuple[int, ...] = ()
 
     @property
     def reads(self) -> tuple[int, ...]:
         """Numbers of all frames whose files must be there."""
-        return tuple(dict.fromkeys((*self.before, *self.preroll, *self.frames, *self.ahead)))
+        return tuple(sorted({*self.before, *self.preroll, *self.frames, *self.between,
+                             *self.ahead}))
 
     def as_dict(self) -> dict[str, Any]:
         """In plain types."""
@@ -190,6 +194,27 @@ def find_preroll(sequence: Sequence, number: int, preroll: int | str = AUTO_PRER
     return found[::-1]
 
 
+def find_between(sequence: Sequence, number: int, last: int,
+                 preroll: int | str = AUTO_PREROLL) -> list[int]:
+    """Frames to run between two that are wanted, `last` and `number`, where those that lead to the
+    second are on the disk though nobody asked for them: as many as before the first of all."""
+    if sequence.before(number, 1) == [last]:
+        return []
+    return [one for one in find_preroll(sequence, number, preroll) if one > last]
+
+
+def fill_gaps(sequence: Sequence, numbers: tuple[int, ...],
+              preroll: int | str = AUTO_PREROLL) -> list[int]:
+    """Frames of a sequence, and between them those that lead over their gaps, in order.
+
+    Pixels of a frame are then the same whichever others are asked for.
+    """
+    filled = list(numbers[:1])
+    for last, number in pairwise(numbers):
+        filled += [*find_between(sequence, number, last, preroll), number]
+    return filled
+
+
 def make_chunks(sequence: Sequence, size: int, ahead: int = 0) -> Iterator[Chunk]:
     """The chunks of a sequence's frames, in order.
 
@@ -200,6 +225,7 @@ def make_chunks(sequence: Sequence, size: int, ahead: int = 0) -> Iterator[Chunk
     for first in range(0, len(sequence.numbers), size):
         frames = sequence.numbers[first : first + size]
         preroll = find_preroll(sequence, frames[0])
+        between = sorted({*fill_gaps(sequence, frames)} - {*frames})
         before = sequence.read_for_motion((preroll or frames)[0])
         yield Chunk(tuple(frames), tuple(preroll), tuple(sequence.after(frames[-1], ahead)),
-                    tuple(before))
+                    tuple(before), tuple(between))

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import takewhile
@@ -54,10 +54,12 @@ class RunUp:
             disturbed.
         frames: how many frames after the first one to run, the last of them first. Fewer run if a
             gap, a broken file or another shot comes sooner; none if `sequence.numbers` skips the
-            next frame.
+            next frame, unless `over_gaps`.
         cuts: as for the `Pipeline`.
         prepare: applied to frames after reading, as for the frames in order.
         view: of stereo files, the view whose frames run; None for the first.
+        over_gaps: whether frames that `sequence.numbers` skips run, too, as they do where a run
+            leads over gaps.
 
     Frames that cannot be read or run are skipped without an error; the frames between them and the
     first one still run.
@@ -69,8 +71,9 @@ class RunUp:
 
     def __init__(self, sequence: Sequence, frames: int = RUN_UP, cuts: str = "auto",
                  prepare: Callable[[Frame], Frame] = lambda frame: frame,
-                 view: str | None = None) -> None:
+                 view: str | None = None, over_gaps: bool = False) -> None:
         _check_is_sequence(sequence, "RunUp")
+        self._over_gaps = over_gaps
         self._view = view
         self._sequence = sequence
         self._frames = frames
@@ -93,7 +96,7 @@ class RunUp:
         headers."""
         found = self._sequence.after(number, self._frames)
         # frames before the range lead to it
-        follows = (found and self._next.get(number, found[0]) == found[0])
+        follows = found and (self._over_gaps or self._next.get(number, found[0]) == found[0])
         return (list(takewhile(partial(_continues_shot, self._sequence.reader(self._view)), found))
                 if follows else [])
 
@@ -184,9 +187,10 @@ class Backwards:
         options: of `DenoiseUpscale`, the same as for the frames in order.
 
     The sequence runs in parts of PART_FRAMES frames, each from its last frame to its first, after a
-    run-up over the frames after it. Frames of the run-up may lie beyond the end of the sequence if
-    their files exist. Frames that cannot be read are skipped without an error. They run mirrored:
-    the network errs otherwise then, so less is left of its errors when both directions are mixed.
+    run-up over the frames after it. Frames of the run-up may lie beyond the end of the sequence,
+    and in gaps of its numbers, if their files exist. Frames that cannot be read are skipped without
+    an error. They run mirrored: the network errs otherwise then, so less is left of its errors when
+    both directions are mixed.
 
     Attributes:
         milliseconds: device time of the last frame in reverse order; None if it did not have to
@@ -201,11 +205,10 @@ class Backwards:
         self._of_view: Callable[[str], Backwards] = lambda view: Backwards(
             sequence.reader(view), device, exposure, cuts, prepare, wrap, **options)
         self._views: dict[str, Backwards] = {}
-        after = sequence.after(sequence.numbers[-1], RUN_UP) if sequence.numbers else ()
         self._given = sequence
-        self._numbers = (*sequence.numbers, *after)
-        self._asked = len(sequence)
-        self._at = {number: index for index, number in enumerate(sequence.numbers)}
+        self._wanted = frozenset(sequence.numbers)
+        self._numbers, self._asked = _with_run_ups(sequence)
+        self._at = {number: index for index, number in enumerate(self._numbers[:self._asked])}
         self._pass = DenoiseUpscale(**options)
         self._pipeline = Pipeline([self._pass], device, exposure, cuts, checks=False, wrap=wrap)
         self._prepare = prepare
@@ -230,6 +233,13 @@ class Backwards:
         if number in self._results or number not in self._at:
             return None
         return number, self._numbers[self._limits(self._at[number])[1] - 1]
+
+    def count(self, numbers: Iterable[int]) -> int:
+        """How many frames run in reverse order for the results of frames, which are in order."""
+        firsts: dict[tuple[int, int], int] = {}
+        for index in (self._at[number] for number in numbers):
+            firsts.setdefault(self._limits(index), index)
+        return sum(begin - first for (_, begin), first in firsts.items())
 
     def __call__(self, frame: Frame, wanted: bool = True,
                  check: Callable[[], None] = lambda: None) -> Frame:
@@ -279,6 +289,8 @@ class Backwards:
             for earlier in range(max(0, index - LONGEST_HISTORY_FRAMES), index):
                 self._follow(self._read(earlier))
         self._last = index
+        if not self._follows(index):
+            self._ahead.reset()
         return self._ahead(frame)
 
     @cached_property
@@ -319,7 +331,7 @@ class Backwards:
                 reverse = reverse_motion(frame, after)
                 colour, factor = self._denoise(reverse)
                 length = lengths(replace(reverse, reset=reverse.reset or self._pipeline.cut))
-                if index < end and colour is not None:
+                if index < end and colour is not None and frame.number in self._wanted:
                     self._results[frame.number] = Result(colour, length, factor)
                     self._times[frame.number] = sum(self._pipeline.timings.values())
             after = frame
@@ -348,9 +360,27 @@ class Backwards:
             frame = self._prepare(read_patiently(read))
         except PostfxError:
             return None
-        follows = index > 0 and self._sequence.before(number, 1) == [self._numbers[index - 1]]
-        frame.reset = frame.reset or not follows
+        frame.reset = frame.reset or not self._follows(index)
         return frame
+
+    def _follows(self, index: int) -> bool:
+        """Whether the frame before one in the list is also the one before it in the shot."""
+        number = self._numbers[index]
+        return index > 0 and self._sequence.before(number, 1) == [self._numbers[index - 1]]
+
+
+def _with_run_ups(sequence: Sequence) -> tuple[tuple[int, ...], int]:
+    """A sequence's frames, each followed by those of a run-up that lie before the next one; and how
+    many these are up to its last frame."""
+    found: list[int] = []
+    asked = 0
+    for number, following in zip(sequence.numbers, (*sequence.numbers[1:], None), strict=True):
+        found.append(number)
+        asked = len(found)
+        if following is None or sequence.before(following, 1) != [number]:
+            found += [one for one in sequence.after(number, RUN_UP)
+                      if following is None or one < following]
+    return tuple(found), asked
 
 
 def _check_is_sequence(given: object, name: str) -> None:

@@ -277,6 +277,11 @@ def test_two_halves_of_a_shot_are_one_with_all_samples(tmp_path: Path, capsys):
     assert "both tell the error" in capsys.readouterr().err
     assert main(["samples", names[0], "--halves", names[0], "--model", "s", "--json"]) == 2
     assert "has the same noise as" in capsys.readouterr().err
+    other = str(write_channels(tmp_path / "other.0001.exr",
+                               {name: 0.9 + random.normal(0, 0.1, (64, 64)) for name in "RGB"},
+                               {"postfx:spp": 8}))
+    assert main(["samples", names[0], "--halves", other, "--model", "s", "--json"]) == 2
+    assert "shows another picture than" in capsys.readouterr().err
 
 
 def test_a_shot_is_denoised_and_planned_with_pictures_and_a_mask(tmp_path: Path, capsys):

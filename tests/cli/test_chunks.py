@@ -89,6 +89,12 @@ def test_chunks_of_two_shots(six):
     assert list(parts) == [Chunk((1, 2), (), (3,)), Chunk((3, 4), (1, 2), (5,)), Chunk((5, 6))]
 
 
+def test_a_chunk_of_frames_apart_reads_those_between(six):
+    shot = read_sequence(str(six / "in/shot.####.exr"), "1-3x2")
+    (chunk,) = make_chunks(shot, 2)
+    assert chunk.frames == (1, 3) and chunk.between == (2,) and chunk.reads == (1, 2, 3)
+
+
 def test_a_chunk_names_the_frame_that_motion_is_estimated_from(write_exr, tmp_path, monkeypatch):
     flat = np.ones((4, 6), np.float32)
     for number in range(1, 7):

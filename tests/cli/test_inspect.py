@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import OpenImageIO as oiio
 import pytest
 
@@ -214,6 +215,19 @@ def test_layers_that_are_not_read_are_listed_and_may_be_what_is_missing(inspect,
     assert "not read" not in missing["diffuse_albedo"]
     main(["inspect", str(path)])
     assert "unread   AO.R,G,B; normals.X,Y,Z; zDepth.Z\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("view", ["left", "right"])
+def test_layers_of_the_view_that_is_not_read_are_not_listed(inspect, tmp_path, view):
+    pixels = np.random.default_rng(1).random((16, 16), np.float32)
+    OpenEXR.File([OpenEXR.Part(
+        {"type": OpenEXR.scanlineimage, "view": own},
+        {f"VL.{layer}.{own}.{letter}": pixels for letter in letters}, f"VL.{layer}.{own}")
+        for own in ("left", "right") for layer, letters in (("Combined", "RGBA"), ("Mist", "Z"))
+    ]).write(str(tmp_path / "a.exr"))
+    _, found = inspect(tmp_path / "a.exr", "--view", view)
+    assert [name.startswith("VL.Mist") for name in found["unread"]] == [True]
+    assert found["unread"][0].endswith(f"{view}.Z")
 
 
 def test_a_run_tells_before_its_first_frame_what_is_plainly_wrong(broken_room, tmp_path, capsys):

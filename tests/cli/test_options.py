@@ -122,6 +122,8 @@ def test_options_name_what_there_is(option):
     (["rnu", "in/"], "did you mean run?"), (["shot/a.exr"], "did you mean postfx run shot/a.exr?"),
     (["run", "in/", "--qqq"],
      "error: unrecognized arguments: --qqq ('postfx run --help-all' shows all)\n"),
+    (["run", "in/", "--frames", "-10-20"],
+     "expected one argument; a value that begins with a dash is given as --frames=VALUE"),
     (["run", "in/", "--on-error", "skp"],
      "invalid choice: 'skp' (choose from 'stop', 'skip', 'copy')"),
 ])

@@ -198,4 +198,24 @@ def test_the_rate_while_frames_are_made_leaves_compiling_out_as_the_last_one_doe
         now[0] = 14.0
         progress.advance("b.exr", 10.0)
     told = capsys.readouterr().err
-    assert "1/4 a.exr (0.50 frames/s)" in told and "2/4 b.exr (0.50 frames/s)" in told
+    assert "1/4 a.exr (0.50 frames/s, 0:00:06 left)" in told
+    assert "2/4 b.exr (0.50 frames/s, 0:00:04 left)" in told
+
+
+def test_the_time_left_is_that_of_frames_alike(capsys, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr("postfx.cli.summary.time.perf_counter", lambda: now[0])
+    with FrameProgress(3) as progress:
+        progress.start(0, others=9)
+        now[0] = 10.0
+        progress.pass_by(8, 8.0)  # a run-up, once
+        progress.advance("a.exr")
+        now[0] = 13.0
+        progress.pass_by(1, 1.0)
+        progress.advance("b.exr")
+        now[0] = 15.0
+        progress.advance("c.exr")
+    told = capsys.readouterr().err
+    assert "1/3 a.exr (0.10 frames/s, 0:00:05 left)" in told
+    assert "2/3 b.exr (0.15 frames/s, 0:00:02 left)" in told
+    assert "3/3 c.exr (0.20 frames/s)" in told

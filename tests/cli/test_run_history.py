@@ -5,6 +5,7 @@ import OpenImageIO as oiio
 import pytest
 
 import postfx as library
+from postfx.io.pattern import parse_frames
 
 
 def pixels_of(path):
@@ -57,6 +58,49 @@ def test_a_range_of_a_shot_says_which_frames_run_before_it(postfx, brightening):
             "out)" in done.err)
     assert "unwritten" not in postfx("run", "in/shot.####.exr", "-o", "all/####.tif",
                                      "--no-denoise").err
+
+
+@pytest.mark.parametrize(("frames", "between"), [
+    ("1-5x2", "frames 2,4 run"), ("2,4-5", "frame 3 runs"), ("1,5", "frames 2-4 run")])
+def test_frames_apart_are_those_of_the_whole_shot(postfx, brightening, frames, between):
+    run(postfx, "-o", "whole/####.tif")
+    done = postfx("run", "in/shot.####.exr", "-o", "some/####.tif", "--no-denoise", "--frames",
+                  frames)
+    assert (f"{between}, too, unwritten, for the history of later ones (--preroll 0 leaves that "
+            "out)") in done.err
+    explained = postfx("run", "in/shot.####.exr", "-o", "none/####.tif", "--no-denoise", "--frames",
+                       frames, "--explain")
+    assert f"history {between}, too" in explained.out
+    found = sorted((brightening / "some").glob("*.tif"))
+    assert [path.stem for path in found] == [f"{one:04d}" for one in parse_frames(frames)]
+    for path in found:
+        np.testing.assert_array_equal(pixels_of(path), pixels_of(brightening / "whole" / path.name))
+
+
+def test_frames_apart_can_be_run_alone(postfx, brightening):
+    run(postfx, "-o", "whole/####.tif")
+    done = postfx("run", "in/shot.####.exr", "-o", "alone/####.tif", "--no-denoise", "--frames",
+                  "1-5x2", "--preroll", "0")
+    assert "unwritten" not in done.err and "the history begins anew after each gap" in done.err
+    assert (pixels_of(brightening / "alone/0003.tif")
+            != pixels_of(brightening / "whole/0003.tif")).any()
+
+
+def test_a_shot_of_which_every_second_frame_is_there_goes_on_with_the_others(postfx, brightening):
+    run(postfx, "-o", "whole/####.tif")
+    run(postfx, "-o", "steps/####.tif", "--frames", "1-5x2")
+    assert run(postfx, "-o", "steps/####.tif", "--skip-existing")["frames"] == 2
+    for number in range(1, 6):
+        np.testing.assert_array_equal(pixels_of(brightening / f"steps/{number:04d}.tif"),
+                                      pixels_of(brightening / f"whole/{number:04d}.tif"))
+
+
+def test_a_frame_between_that_cannot_be_read_ends_the_history(postfx, brightening):
+    (brightening / "in/shot.0004.exr").write_bytes(b"no EXR")
+    done = postfx("run", "in/shot.####.exr", "-o", "some/####.tif", "--no-denoise", "--frames",
+                  "3,5")
+    assert done.code == 0, done.err
+    assert "frames are not consecutive" in done.err
 
 
 def test_frames_run_in_order_of_time(postfx, brightening):

@@ -73,6 +73,20 @@ def test_cuts_that_are_known_have_one_each(postfx, noise):
     assert done.json["run_up"]["frames"] == 4
 
 
+@pytest.mark.parametrize("options", [(), ("--both-ways",)])
+def test_frames_apart_are_denoised_as_in_the_whole_shot(postfx, noise, options):
+    postfx(*RUN, "-o", "whole/a.####.exr", *options)
+    postfx(*RUN, "-o", "apart/a.####.exr", "--frames", "1-6x2", *options)
+    for number in (1, 3, 5):
+        np.testing.assert_array_equal(pixels(noise / f"apart/a.{number:04d}.exr"),
+                                      pixels(noise / f"whole/a.{number:04d}.exr"))
+
+
+def test_frames_apart_that_run_alone_have_no_run_up(postfx, noise):
+    done = postfx(*RUN, "-o", "out/a.####.exr", "--frames", "1-6x2", "--preroll", "0", "--json")
+    assert done.json["run_up"]["frames"] == 0
+
+
 def test_a_range_with_what_is_before_it_runs_up_to_that(postfx, noise):
     done = postfx(*RUN, "-o", "out/a.####.exr", "--frames", "3-6", "--preroll", "2", "--json")
     assert done.json["run_up"]["frames"] == 5

@@ -57,6 +57,19 @@ def test_a_hit_distance_that_cannot_be_used_is_named(diagnose):
     assert found.level == "info" and found.evidence == "no normal, postfx:fovX"
 
 
+def test_what_lossy_compression_leaves_below_0_is_no_fault(room, diagnose):
+    for level, below in (("info", 1e-5), ("error", 0.2)):
+        frames = []
+        for frame in room[:2]:
+            albedo = frame[Role.DIFFUSE_ALBEDO].copy()
+            albedo[::2] = -below
+            albedo[1::8] = -below
+            frames.append(replace(frame, planes=frame.planes | {Role.DIFFUSE_ALBEDO: albedo}))
+        (found,) = [finding for finding in diagnose(frames) if finding.code == "negative"]
+        assert found.level == level and found.role == Role.DIFFUSE_ALBEDO
+        assert ("too little to be seen" in found.evidence) == (level == "info")
+
+
 def test_frames_of_several_sizes_are_named(diagnose):
     findings = diagnose([random((40, 48), 1), random((30, 36), 2), random((40, 48), 3)])
     (found,) = [finding for finding in findings if finding.code == "sizes-change"]

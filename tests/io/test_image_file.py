@@ -205,10 +205,10 @@ def test_a_forked_process_unpacks_with_threads_of_its_own(write_exr, ramp):
     assert not alive and child.exitcode == 0
 
 
-@pytest.mark.parametrize("count", [1, 7, 8, 9, 64, 4096 + 8, 3 * 4096, 12345])
+@pytest.mark.parametrize("count", [1, 7, 15, 16, 17, 31, 33, 63, 64, 65, 3 * 4096, 12345])
 def test_bytes_that_were_predicted_come_back(count):
-    """However many there are: eights of them are summed another way, in pieces; also the largest
-    and the smallest."""
+    """However many there are: those that fill vectors are summed another way; also the largest and
+    the smallest."""
     rng = np.random.default_rng(count)
     for words in (rng.integers(0, 1 << 16, count), np.full(count, 65535),
                   np.arange(count) % 2 * 65535):

@@ -232,6 +232,32 @@ def test_pictures_of_one_colour_have_no_noise_and_are_merged(tmp_path: Path):
     assert merge_renders(paths, tmp_path / "out.exr").samples == 8
 
 
+def lit_from(side: str, seed: int, names=("R", "G", "B")) -> dict[str, np.ndarray]:
+    """A picture that is bright at one side, and dark at the other."""
+    ramp = np.linspace(0.05, 1, 96, dtype=np.float32)
+    light = ramp if side == "right" else ramp[::-1]
+    return {name: values * light for name, values in noisy(seed, names, (64, 96)).items()}
+
+
+@pytest.mark.parametrize("fill", [0.0, np.nan])
+def test_another_picture_is_refused_and_another_seed_is_not(tmp_path: Path, fill: float):
+    first, second, other = (write(tmp_path / f"{name}.exr", lit_from(side, seed),
+                                  {"postfx:spp": spp})
+                            for name, side, seed, spp in (("first", "left", 1, 4),
+                                                          ("second", "left", 2, 64),
+                                                          ("other", "right", 3, 4)))
+    assert merge_renders([first, second], tmp_path / "out.exr").samples == 68
+    with pytest.raises(FrameError, match="other.exr: shows another picture than .*first.exr"):
+        merge_renders([first, second, other], tmp_path / "no.exr")
+    assert not (tmp_path / "no.exr").exists()
+    # a region with nothing around it shows the same where it was rendered
+    part = lit_from("left", 4)
+    for plane in part.values():
+        plane[:, 48:] = fill
+    region = write(tmp_path / "region.exr", part, {"postfx:spp": 4})
+    assert merge_renders([first, region], tmp_path / "part.exr").samples == 8
+
+
 def test_what_cannot_be_merged_is_refused_in_one_line(tmp_path: Path):
     one = write(tmp_path / "one.exr", noisy(1), {"postfx:spp": 4})
     small = write(tmp_path / "small.exr", noisy(1, size=(4, 4)), {"postfx:spp": 4})

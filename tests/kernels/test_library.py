@@ -57,8 +57,7 @@ HEADER = """
 static void scale_rows(Long first, Long last, View<const float, 2> image, Given<float> by,
                        View<float, 2> scaled) {
     for (Long y = first; y < last; y++) {
-        across(0, image.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, image.size[1], EACH(F, Long x) {
             store<F>(scaled(y) + x, load<F>(image(y) + x) * *by);
         });
     }
@@ -503,7 +502,7 @@ def test_without_a_compiler_there_is_one_line_with_the_fix(plug_in: Path,
 def test_a_fault_in_a_header_is_one_line(plug_in: Path) -> None:
     plug_in.write_text(HEADER.replace("* *by", "* nothing"))
     with pytest.raises(DeviceError,
-                       match=r"scale.h:9:\d+: error: use of undeclared identifier 'nothing'"):
+                       match=r"scale.h:8:\d+: error: use of undeclared identifier 'nothing'"):
         scaled(plug_in)
 
 

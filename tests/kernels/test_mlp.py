@@ -26,8 +26,7 @@ HEIGHT = 3
 HEADER = """
 static void @NAME@_rows(Long first, Long last, View<const float, 1> parameters,
                         View<const float, 2> points, View<float, 2> values) {
-    across(first, last, PIXELS(auto one, Long p) {
-        typedef decltype(one) F;
+    across(first, last, EACH(F, Long p) {
         F features[@INPUTS@], found[@OUTPUTS@];
         int places[Of<F>::COUNT];
         for (int i = 0; i < Of<F>::COUNT; i++) places[i] = int(p) + i;

@@ -2,6 +2,7 @@
 
     python -m training.datagen.clean_references RAW CLEAN
     python -m training.datagen.clean_references RAW CLEAN --watch 15 --device cuda
+    python -m training.datagen.clean_references RAW CLEAN --keep-noise
 
 A training compares pictures after the display curve, which turns the noise of a reference into a
 darker picture: 64 samples a pixel of a night street lose 0.010 in code values, 32 of a room lit
@@ -14,6 +15,9 @@ half stays for its planes, which are almost without noise, and is not trained on
 
 A renderer that fails on the GPU may still save pictures, black or half done. A clip whose renders
 have not the light of its reference is left out.
+
+With --keep-noise, references stay as rendered, with both halves, for a training whose loss their
+noise does not change (train --noisy-references).
 
 Clips without halves have references of many samples, and are moved as they are, like clips whose
 references are larger than their renders. RAW may still be growing: with --watch the program goes on
@@ -105,9 +109,9 @@ def block_codes(light: np.ndarray, exposure: float) -> np.ndarray:
     return exposed / (1 + exposed)
 
 
-def clean_file(denoise: OpenImageDenoise, path: Path, folder: Path) -> bool:
-    """Move a clip to a folder, its reference cleaned if it needs that; returns whether it did. A
-    clip that is not whole is deleted."""
+def clean_file(denoise: OpenImageDenoise | None, path: Path, folder: Path) -> bool:
+    """Move a clip to a folder, its reference cleaned if it needs that and ``denoise`` is given;
+    returns whether it did. A clip that is not whole is deleted."""
     with np.load(path) as file:
         arrays = dict(file)
     if not is_whole(arrays):
@@ -115,7 +119,7 @@ def clean_file(denoise: OpenImageDenoise, path: Path, folder: Path) -> bool:
         path.unlink()
         return False
     target, variant = folder / path.name, render_of_half(arrays)
-    if variant is None:
+    if variant is None or denoise is None:
         shutil.move(path, target)
         return False
     arrays["reference"] = to_half(clean(denoise, arrays, variant))
@@ -134,6 +138,9 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("clean", type=Path, help="folder that gets the cleaned clips")
     parser.add_argument("--watch", type=float, default=0.0, metavar="MINUTES",
                         help="wait for new clips so long")
+    parser.add_argument("--keep-noise", action="store_true",
+                        help="only leave out clips that are not whole, for a training with "
+                        "--noisy-references, which learns from both halves as rendered")
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--threads", type=int, default=THREADS,
                         help="of the CPU (default: %(default)s)")
@@ -142,7 +149,8 @@ def options() -> argparse.ArgumentParser:
 
 def main(argv: list[str] | None = None) -> int:
     args = options().parse_args(argv)
-    denoise = OpenImageDenoise("high", args.device, args.threads)
+    denoise = (None if args.keep_noise
+               else OpenImageDenoise("high", args.device, args.threads))
     args.clean.mkdir(parents=True, exist_ok=True)
     end, moved, cleaned = time.monotonic() + 60 * args.watch, 0, 0
     while True:

@@ -32,6 +32,8 @@ from training.denoise.model import Guides, Inputs, State
 # them, and alone.
 SOME_SAMPLES = 32
 MANY_SAMPLES = 256
+QUIET_RATIO = 16
+"""Samples of a reference over those of a render whose error shows next to none of its noise."""
 MOST_TRIES = 5
 """How often the reading of a clip is tried. NumPy parses the headers of arrays as Python code. The
 parser of Python 3.11 is not quite safe in threads: now and then it raises SystemError for code that
@@ -49,6 +51,7 @@ class Batch:
         inverse: T motions (N, 2, h, w) to the next frame, for clips that also run backwards.
         static: T motions as if only the camera moved.
         true_motion: T motions, where those of the frames may be false.
+        quiet: (N, 1, 1, 1) true where the reference has much less noise than the frames.
         surfaces: T inputs with the true albedos and normals, NaN in entries where they are
             unknown.
         state: the history that the first frame continues; None for none.
@@ -57,6 +60,7 @@ class Batch:
     frames: list[Inputs]
     references: Tensor
     keep: Tensor
+    quiet: Tensor | None = None
     inverse: list[Tensor] | None = None
     static: list[Tensor] | None = None
     true_motion: list[Tensor] | None = None
@@ -79,6 +83,7 @@ class Stack:
 
     Attributes:
         exposure: (N, 1, 1, 1).
+        quiet: (N,) whether the reference has much less noise than the frames.
         surfaces: (N, T, C, h, w) planes with the true albedos, normals and roughness, NaN where
             these are unknown.
     """
@@ -91,6 +96,7 @@ class Stack:
     surfaces: Tensor
     guides: Tensor | None
     exposure: Tensor
+    quiet: Tensor
     motions: tuple[str, ...] = ()
 
 
@@ -281,6 +287,7 @@ def collate(clips: list[Clip], variants: list[int], crop: int | None = None,
         surfaces=true,
         guides=torch.stack(guides).float() if guides else None,
         exposure=exposure[:, None, None, None],
+        quiet=torch.tensor([has_quiet_target(c, v) for c, v, _ in chosen], device=device),
         motions=clips[0].motions,
     )
 
@@ -291,6 +298,17 @@ def target(clip: Clip, variant: int) -> Tensor:
         return clip.reference
     assert clip.half is not None, "a clip with halved renders has the other half"
     return clip.half
+
+
+def has_quiet_target(clip: Clip, variant: int) -> bool:
+    """Whether the reference of a noisy render has many times its samples. References without halves
+    count as free of noise."""
+    if not any(clip.halved):
+        return True
+    if clip.halved[variant]:
+        return False
+    reference = 2 * clip.samples[clip.halved.index(True)]
+    return reference >= QUIET_RATIO * clip.samples[variant]
 
 
 def true_planes(clip: Clip, variant: int) -> int | None:
@@ -330,7 +348,8 @@ def to_batch(stack: Stack) -> Batch:
                 for true, jitter in zip(stack.surfaces.unbind(1), stack.jitter.unbind(1),
                                         strict=True)]
     return Batch(frames, references, stack.keep.T[..., None, None, None],
-                 inverse=motions.get("inverse"), static=motions.get("static"), surfaces=surfaces)
+                 quiet=stack.quiet[:, None, None, None], inverse=motions.get("inverse"),
+                 static=motions.get("static"), surfaces=surfaces)
 
 
 def frame_inputs(planes: Tensor, jitter: Tensor, guides: Tensor | None,

@@ -25,7 +25,8 @@ from training.denoise.loss import Results
 FUSED = ((ops, ("filter_kernels", "pool", "demodulation", "dilate_motion", "box_mean", "upsample")),
          (network, ("features", "guide_features", "accumulate", "demodulate")),
          (picture, ("network_inputs", "activate")),
-         (losses, ("display", "frame_loss", "flicker_loss", "explained_by_motion", "even_scale")))
+         (losses, ("display", "frame_loss", "noisy_frame_loss", "flicker_loss",
+                   "explained_by_motion", "even_scale")))
 
 
 def fuse() -> None:

@@ -131,12 +131,33 @@ ERROR_FLOOR = 0.03
 """Expected error in code values; pixels below it have almost the same weight."""
 NOISY = 0.2
 """Error of the input, in code values, of a frame whose weight `even_scale` leaves at 1."""
+DARKEST = 1e-3
+"""Exposed light; where there is less, the display curve has the slope that it has here."""
+LARGEST_SEEN = 4.0
+"""In code values: larger errors of what is seen are fireflies of the reference."""
+SQUARED = 40.0
+"""Weight of squared errors against noisy references."""
 
 
 def display(exposed: Tensor) -> Tensor:
     """Exposed linear colour to the sRGB-encoded curve x / (1 + x) that quality is scored on."""
     x = exposed.clamp(min=0)
     return linear_rgb_to_rgb(x / (1 + x))
+
+
+def seen_error(result: Tensor, target: Tensor, at: Tensor) -> Tensor:
+    """Error of light times the slope of the display curve ``at`` some light: the error of what is
+    seen, where it is small. Unlike the difference of display codes, it is linear in the target, so
+    noise of the target averages out where this error is squared."""
+    return (result - target) * display_slope(at)
+
+
+def display_slope(light: Tensor) -> Tensor:
+    """The derivative of `display`: of x / (1 + x), and of the sRGB curve (IEC 61966-2-1)."""
+    light = light.clamp(min=DARKEST)
+    shown = light / (1 + light)
+    coded = torch.where(shown <= 0.0031308, 12.92, 1.055 / 2.4 * shown ** (1 / 2.4 - 1))
+    return coded / (1 + light).square()
 
 
 def gradient(image: Tensor) -> tuple[Tensor, Tensor]:
@@ -160,6 +181,15 @@ def frame_loss(output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
     blotches = sum(huber(F.avg_pool2d(error, size), COARSE_KNEE) for size in COARSE)
     seen = difference(output, reference)
     return huber(error, KNEE) + 4 * error.square().mean() + 0.5 * edges + blotches + SEEN * seen
+
+
+def noisy_frame_loss(output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
+    """Error of exposed linear pictures whose reference holds noise of its own, as in Noise2Noise
+    (Lehtinen et al., 2018): squared errors of what is seen, of pixels and of coarser pictures, each
+    times ``scale`` (N, 1, 1, 1). All of it is least at the mean of such references."""
+    error = seen_error(output, reference, output.detach()).clamp(-LARGEST_SEEN, LARGEST_SEEN)
+    pictures = [error, *(F.avg_pool2d(error, size) for size in COARSE)]
+    return SQUARED * sum((scale * picture.square()).mean() for picture in pictures)
 
 
 def light_loss(output: Tensor, reference: Tensor, knee: float = LIGHT[1]) -> Tensor:
@@ -252,28 +282,40 @@ class Truth:
     """References of a clip, their motion, and the factors on errors: 1 or, with ``even``, larger
     for inputs with less noise."""
 
-    def __init__(self, batch: Batch, even: float = 0.0, light: tuple[float, float] = LIGHT):
+    def __init__(self, batch: Batch, even: float = 0.0, light: tuple[float, float] = LIGHT,
+                 is_noisy: bool = False):
         self.light, self.knee = light
+        self.is_noisy, self.quiet = is_noisy, batch.quiet
         self.references = batch.references
         self.shown = [display(reference) for reference in batch.references]
         ones = torch.ones_like(batch.keep[0])
         self.scale = [even_scale(display(inputs.colour), shown, even) if even else ones
                       for inputs, shown in zip(batch.frames, self.shown, strict=True)]
         self.motion = batch.true_motion or [inputs.motion for inputs in batch.frames]
-        self.moved = [reproject_reference(before, motion)
-                      for before, motion in zip(self.shown[:-1], self.motion[1:], strict=True)]
+        self.moved = self._move(self.shown)
+        self.moved_light = self._move(list(batch.references)) if is_noisy else []
         self.explained = [explained_by_motion(now, moved) * keep
                           for now, moved, keep in zip(self.shown[1:], self.moved, batch.keep[1:],
                                                       strict=True)]
+
+    def _move(self, pictures: list[Tensor]) -> list[Tensor]:
+        """All but the last of the clip's pictures, each moved to the next frame."""
+        return [reproject_reference(before, motion)
+                for before, motion in zip(pictures[:-1], self.motion[1:], strict=True)]
 
     def scores(self, outputs: list[Tensor], weight: float) -> Scores:
         """Loss of the exposed linear ``outputs`` with a ``weight`` of flicker, the mean PSNR of the
         clip's second half and the mean flicker."""
         shown = [display(output) for output in outputs]
-        pictures = sum(map(frame_loss, shown, self.shown, self.scale))
+        if self.is_noisy:
+            pictures = sum(map(noisy_frame_loss, outputs, self.references, self.scale))
+        else:
+            pictures = sum(map(frame_loss, shown, self.shown, self.scale))
         pictures = pictures + self.light * sum(light_loss(*pair, self.knee) for pair
                                               in zip(outputs, self.references, strict=True))
-        flicker = torch.stack([self._flicker(shown, t) for t in range(1, len(shown))])
+        changes = range(1, len(shown))
+        flicker = torch.stack([self._noisy_flicker(outputs, t) if self.is_noisy
+                               else self._flicker(shown, t) for t in changes])
         late = range(len(shown) // 2, len(shown))
         quality = torch.stack([psnr(shown[t].detach(), self.shown[t]).mean() for t in late])
         return ((pictures + weight * flicker.sum()) / len(shown), quality.mean(),
@@ -284,6 +326,9 @@ class Truth:
         predicts none."""
         if errors[0] is None:
             return 0.0
+        if self.is_noisy:  # the noise of a reference is no error of the picture
+            errors = [torch.where(self.quiet, error, error.detach())  # type: ignore[union-attr]
+                      for error in errors]
         found = [error_loss(error, display(output.detach()), shown)
                  for error, output, shown in zip(errors, outputs, self.shown, strict=True)]
         return ERROR * sum(found) / len(found)
@@ -291,7 +336,15 @@ class Truth:
     def _flicker(self, shown: list[Tensor], t: int) -> Tensor:
         moved = reproject_reference(shown[t - 1], self.motion[t])
         return flicker_loss(shown[t], moved, self.shown[t], self.moved[t - 1],
-                                   self.explained[t - 1], self.scale[t])
+                            self.explained[t - 1], self.scale[t])
+
+    def _noisy_flicker(self, outputs: list[Tensor], t: int) -> Tensor:
+        moved = reproject_reference(outputs[t - 1], self.motion[t])
+        change = seen_error(outputs[t] - moved, self.references[t] - self.moved_light[t - 1],
+                            outputs[t].detach()).clamp(-LARGEST_SEEN, LARGEST_SEEN)
+        explained = self.explained[t - 1]
+        squared = self.scale[t] * change.square() * explained
+        return SQUARED * squared.sum() / (3 * explained.sum() + 1)
 
 
 class ClipLoss(nn.Module):
@@ -309,10 +362,12 @@ class ClipLoss(nn.Module):
         light: Weight and knee of `light_loss`.
         reflectance: Weight of `reflectance_loss`.
         guides: Weight of `guides_loss`.
+        is_noisy: Whether the references hold noise of their own.
     """
 
     def __init__(self, model: DenoiseUpscale, flicker: float, reset: float, even: float = 0.0,
-                 light: tuple[float, float] = LIGHT, reflectance: float = 0.0, guides: float = 0.0):
+                 light: tuple[float, float] = LIGHT, reflectance: float = 0.0, guides: float = 0.0,
+                 is_noisy: bool = False):
         super().__init__()
         self.model = model
         self.flicker = flicker
@@ -321,6 +376,7 @@ class ClipLoss(nn.Module):
         self.light = light
         self.reflectance = reflectance
         self.guides = guides
+        self.is_noisy = is_noisy
 
     def forward(self, batch: Batch) -> Results:
         # One context for the whole clip, so that weights are cast once and not once a frame.
@@ -328,7 +384,7 @@ class ClipLoss(nn.Module):
             return self._clip(batch)
 
     def _clip(self, batch: Batch) -> Results:
-        truth = Truth(batch, self.even, self.light)
+        truth = Truth(batch, self.even, self.light, self.is_noisy)
         begin = batch.state or empty_state(batch.frames[0], *batch.references.shape[-2:])
         steps, counts = self._run(batch.frames, list(batch.keep), begin)
         ahead, end = [step.output for step in steps], steps[-1].state

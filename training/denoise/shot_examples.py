@@ -27,6 +27,7 @@ from postfx.errors import FrameError, OptionError
 from postfx.exposure import ExposureMeter
 from postfx.frame import ROLES, Frame, Role
 from postfx.io.sequence import Sequence, read_sequence
+from postfx.other_shots import is_other_picture, squares_of
 from postfx.passes.denoise.planes import shows_volume
 from postfx.pixel_filter import find_stddev
 from postfx.repeats import is_same_render
@@ -182,12 +183,17 @@ def targets_of(reader: Reader, target: Sequence) -> list[Example]:
             has_counts = Role.SAMPLE_COUNT in files.layout.planes
         held = target.read(number, [Role.COLOUR, *[Role.SAMPLE_COUNT] * has_counts])
         colour = reader.inputs(number).colour
-        if is_same_render(held[Role.COLOUR], colour[0].permute(1, 2, 0).cpu().numpy()):
+        own, known = colour[0].permute(1, 2, 0).cpu().numpy(), known_pixels(held)
+        if is_same_render(held[Role.COLOUR], own):
             raise FrameError(f"{held.source}: is the same render as its frame of {shot.pattern}, "
                              "noise included: give another render of it")
+        if (held[Role.COLOUR].shape == own.shape
+            and is_other_picture(squares_of(held[Role.COLOUR], known > 0), squares_of(own))):
+            raise FrameError(f"{held.source}: shows another picture than its frame of "
+                             f"{shot.pattern}: give renders of the same shot, numbered alike")
         device = colour.device
         light = as_planes(held[Role.COLOUR], device)
-        known = as_planes(known_pixels(held)[..., None], device)
+        known = as_planes(known[..., None], device)
         found.append(reader.example(number, light, known))
     if not found:
         raise OptionError(f"{target.pattern}: has none of the frames {shot.pattern}: number them "

@@ -178,6 +178,9 @@ def add_loss_options(group: argparse._ActionsContainer) -> None:
     group.add_argument("--light", type=float, nargs=2, default=LIGHT, metavar=("WEIGHT", "KNEE"),
                        help="weight of the relative error of light in cells of 16x16 pixels, and "
                        "the error below which it is squared (default: %(default)s)")
+    group.add_argument("--noisy-references", action="store_true",
+                       help="references hold noise of their own (clips of clean_references "
+                       "--keep-noise): squared errors of light, as in Noise2Noise; with --clean 0")
     group.add_argument("--reflectance", type=float, default=0.0, metavar="WEIGHT",
                        help="with --trust: weight of the relative error of the trusted "
                        "reflectance against that of a render with many samples (default: "
@@ -230,6 +233,9 @@ def parse(words: list[str] | None = None) -> argparse.Namespace:
         args = parser.parse_args(words)
     if args.carry and args.both_ways:
         parser.error("--carry and --both-ways exclude each other")
+    if args.noisy_references and args.clean:
+        parser.error("--noisy-references needs --clean 0: colour that is moved towards a noisy "
+                     "reference has its noise")
     if args.only and not args.picture:
         parser.error("--only is for --picture: leave one of the two out, or give both")
     if args.only:
@@ -434,7 +440,7 @@ class Run:
         self.device, self.world = device, world
         self.average = Average(model, DECAY)
         self.loss = ClipLoss(model, args.flicker, args.reset, args.even, tuple(args.light),
-                             args.reflectance, args.clean_planes)
+                             args.reflectance, args.clean_planes, args.noisy_references)
         groups = rate_groups(model, args.published_rate, args.only)
         self.flat = FlatGradient([weight for group in groups for weight in group["params"]])
         self.gradient = GradientStep(self.loss, self.flat)

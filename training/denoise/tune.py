@@ -38,7 +38,15 @@ from postfx.errors import OptionError, PostfxError
 from postfx.system import usable_cores
 from training.denoise.checkpoint import PREFIX, load_weights
 from training.denoise.export import card, export_trunk, load_trunk
-from training.denoise.loss import ERROR, LIGHT, display, error_loss, frame_loss, light_loss
+from training.denoise.loss import (
+    ERROR,
+    LIGHT,
+    display,
+    error_loss,
+    frame_loss,
+    light_loss,
+    seen_error,
+)
 from training.denoise.model import DenoiseUpscale, Step, empty_state
 from training.denoise.picture import PictureDenoiser
 from training.denoise.shot_examples import Split, Windows, read_examples
@@ -67,8 +75,6 @@ LEAST_SHARE = 0.05
 to be all of it."""
 LEAST_SURE = 1.0
 """Standard errors by which a gain must be above 0 for a network to be written."""
-DARKEST = 1e-3
-"""Exposed light below which the slope of the display curve is the one here."""
 
 
 def run(model: Denoiser, windows: Windows) -> Step:
@@ -91,7 +97,7 @@ def loss_of(step: Step, target: Tensor, known: Tensor, is_noisy: bool) -> Tensor
     share = known.mean().clamp(min=1e-3)
     result = step.output
     if is_noisy:
-        return (seen_error(result, target, result.detach()) * known).mean() / share
+        return (seen_error(result, target, result.detach()).square() * known).mean() / share
     target = torch.where(known > 0, target, result.detach())
     ones = torch.ones(len(result), 1, 1, 1, device=result.device)
     found = (frame_loss(display(result), display(target), ones)
@@ -100,21 +106,6 @@ def loss_of(step: Step, target: Tensor, known: Tensor, is_noisy: bool) -> Tensor
         predicted = torch.where(known > 0, step.error, step.error.detach())
         found = found + ERROR * error_loss(predicted, display(result), display(target))
     return found / share
-
-
-def seen_error(result: Tensor, target: Tensor, at: Tensor) -> Tensor:
-    """Squared error of light, times the squared slope of the display curve at the light ``at``: the
-    squared error of what is seen. Its least mean is at the same result whatever the target's
-    noise."""
-    return ((result - target) * display_slope(at)).square()
-
-
-def display_slope(light: Tensor) -> Tensor:
-    """The derivative of `display`: of x / (1 + x), and of the sRGB curve (IEC 61966-2-1)."""
-    light = light.clamp(min=DARKEST)
-    shown = light / (1 + light)
-    coded = torch.where(shown <= 0.0031308, 12.92, 1.055 / 2.4 * shown ** (1 / 2.4 - 1))
-    return coded / (1 + light).square()
 
 
 @dataclass(frozen=True)
@@ -163,7 +154,7 @@ class Measure:
         """The error of each window's result."""
         errors = []
         for one, light, result in zip(self._windows, self._at, results, strict=True):
-            squared = (seen_error(result, one.target, light) if self._is_noisy
+            squared = (seen_error(result, one.target, light).square() if self._is_noisy
                        else (display(result) - display(one.target)).square())
             errors.append(_mean(squared, one.known))
         return np.array(errors)
@@ -174,7 +165,7 @@ class Measure:
         if not self._is_noisy:
             return 0.0
         return float(np.mean([
-            _mean(0.5 * seen_error(one.frames[-1].colour, one.target, light), one.known)
+            _mean(0.5 * seen_error(one.frames[-1].colour, one.target, light).square(), one.known)
             for one, light in zip(self._windows, self._at, strict=True)]))
 
 

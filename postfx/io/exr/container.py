@@ -281,6 +281,9 @@ class ExrContainer(ExitStack):
         storages: how each part is stored.
         counts: chunks of each part.
         several: whether the file is of several parts by its version, so that chunks tell theirs.
+        identity: what tells the file from others, and from what it may become.
+        unpacked: index of a part -> words of all its rows, (height, words) uint16: `read_rows`
+            fills those that are there, `read_stored` takes them.
     """
 
     def __init__(self, path: Path, file: BinaryIO | None = None) -> None:
@@ -289,7 +292,10 @@ class ExrContainer(ExitStack):
         self._file = self.enter_context(file or path.open("rb"))
         self._lock = threading.Lock()  # of the place in the file
         try:
-            self.size = os.fstat(self._file.fileno()).st_size
+            status = os.fstat(self._file.fileno())
+            self.size = status.st_size
+            self.identity = status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
+            self.unpacked: dict[int, np.ndarray] = {}
             self.version, self.headers = read_headers(self._file)
             self.several = bool(self.version & MULTI_PART)
             self.storages = [storage_of(header) for header in self.headers]
@@ -344,6 +350,11 @@ class ExrContainer(ExitStack):
         chunks = self.chunks(part)
         for place in sorted(range(len(chunks)), key=lambda place: chunks[place].at):
             yield place, self.read(chunks[place])
+
+    def hold_rows(self, part: int) -> None:
+        """Let `read_rows` keep what it unpacks of a part."""
+        storage = self.storages[part]
+        self.unpacked[part] = np.empty((storage.height, storage.line_bytes // 2), np.uint16)
 
     def check_whole(self) -> None:
         """ReadError unless all chunks of all parts are there."""
@@ -456,10 +467,11 @@ def read_rows(file: ExrContainer, part: int, planes: ChannelPlanes, first: int, 
     if not 0 <= first < last <= storage.height or end > file.counts[part]:
         return False
     stored = file.read_chunks(part, begin, end)
+    held = file.unpacked.get(part)
     step = max(1, ZIP_LINES // storage.lines)
     for place in range(0, len(stored), step):
         top = (begin + place) * storage.lines
-        words = _unpack(storage, stored[place : place + step], top)
+        words = _unpack(storage, stored[place : place + step], top, held)
         if words is None:
             return False
         wanted = words[max(first - top, 0):]
@@ -476,11 +488,14 @@ def read_stored(file: ExrContainer, part: int, names: Sequence[str], first: int,
     storage = file.storages[part]
     if not {*names} <= storage.channels.keys():
         return None
-    begin, end = first // storage.lines, -(-last // storage.lines)
-    words = _unpack(storage, file.read_chunks(part, begin, end), begin * storage.lines)
-    if words is None:
-        return None
-    rows = words[first - begin * storage.lines:][:last - first]
+    if part in file.unpacked:
+        rows = file.unpacked[part][first:last]
+    else:
+        begin, end = first // storage.lines, -(-last // storage.lines)
+        words = _unpack(storage, file.read_chunks(part, begin, end), begin * storage.lines)
+        if words is None:
+            return None
+        rows = words[first - begin * storage.lines:][:last - first]
     found, width = [], storage.width
     for name in names:
         kind, column = storage.channels[name]
@@ -500,14 +515,16 @@ def read_rows_by_threads(file: ExrContainer, part: int, planes: ChannelPlanes, f
     return all(run_in_order(file_threads(count), tasks, 2 * count))
 
 
-def _unpack(storage: Storage, stored: list[memoryview], top: int) -> np.ndarray | None:
-    """Rows (rows, words) uint16 of chunks that begin with the row `top`; None where one is
-    broken."""
+def _unpack(storage: Storage, stored: list[memoryview], top: int,
+            held: np.ndarray | None = None) -> np.ndarray | None:
+    """Rows (rows, words) uint16 of chunks that begin with the row `top`, in their place among all
+    that are held; None where one is broken."""
     from postfx.io.pixel_formats import decompress_rows  # headers must not wait
 
     lines = storage.lines
-    words = np.empty((min(len(stored) * lines, storage.height - top), storage.line_bytes // 2),
-                     np.uint16)
+    count = min(len(stored) * lines, storage.height - top)
+    words = (np.empty((count, storage.line_bytes // 2), np.uint16) if held is None
+             else held[top : top + count])
     for place, chunk in enumerate(stored):
         row = place * lines
         is_whole = decompress_rows(chunk[8:], words[row : row + lines].reshape(-1))

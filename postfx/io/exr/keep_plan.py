@@ -54,6 +54,9 @@ def merge_source(own: Header, rows: Rows, frame: Frame, alike: Hashable,
     if frame.source is None or Path(frame.source).suffix.lower() != ".exr":
         return [picture_part(own, rows, apart=True)]
     source = stack.enter_context(ExrContainer(Path(frame.source)))
+    rows_read = frame.colour_source.rows if frame.colour_source else None
+    if rows_read and rows_read.identity == source.identity:
+        source.unpacked.update(rows_read.parts)
     key = alike, tuple(own.attributes), _key_of(source, frame)
     plan = _KEEP_PLANS.find(key) or _KEEP_PLANS.keep(key, KeepPlan(own, source, frame))
     return plan.parts(own, rows, source, stack)

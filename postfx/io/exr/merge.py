@@ -45,6 +45,7 @@ from postfx.io.read_options import ReadOptions
 from postfx.io.render_time import AVERAGED, SUMMED, format_time, parse_time
 from postfx.io.windows import Part, Window
 from postfx.masks.noise import count_unit
+from postfx.other_shots import Squares, is_other_picture, squares_of
 from postfx.planes import LARGEST_HALF
 from postfx.repeats import is_same_render
 
@@ -111,7 +112,8 @@ def merge_renders(
     not say it; None for those that do.
 
     Raises ReadError for a file that is broken, is no OpenEXR file or does not tell its samples,
-    FrameError where files are not of one frame or hold the same noise, WriteError where the result
+    FrameError where files are not of one frame, show other pictures than the first or hold the same
+    noise, WriteError where the result
     cannot be written.
     """
     with ExitStack() as stack:
@@ -266,6 +268,7 @@ class _Merge:
         self._check_frames()
         self._find_regions()
         self._refuse_same_noise()
+        self._refuse_other_pictures()
         self._is_uneven = any(not render.is_even for render in renders) or len(
             {render.colour[0].part.data for render in renders}) > 1
         self._shares = self._first.layout.profile.name.startswith("cycles")
@@ -318,6 +321,19 @@ class _Merge:
                     raise FrameError(f"{render.path}: has the same noise as {path}: render it with "
                                      "another seed, or leave it out")
             seen.append((render.path, rows))
+
+    def _refuse_other_pictures(self) -> None:
+        """FrameError where two files show different pictures: the mean would show both."""
+        display = self._first.colour[0].part.display
+        seen: list[tuple[Path, Squares]] = []
+        for render in self._renders:
+            colour = place(render.read_colour(), render.colour[0].part.data, display, np.float32(0))
+            own = squares_of(colour, render.weight(display) > 0)
+            for path, other in seen:
+                if is_other_picture(own, other):
+                    raise FrameError(f"{render.path}: shows another picture than {path}: give "
+                                     "renders of one frame of one shot that differ in their seed")
+            seen.append((render.path, own))
 
     def parts(self) -> list[NewPart]:
         """All parts of the output."""
@@ -419,7 +435,7 @@ def place(pixels: np.ndarray, own: Window, window: Window, fill: Any) -> np.ndar
     """Pixels of one rectangle in another one, `fill` where they have none."""
     if own == window:
         return pixels
-    found = np.full(_shape(window), fill, pixels.dtype)
+    found = np.full((*_shape(window), *pixels.shape[2:]), fill, pixels.dtype)
     if inside := own.common(window):
         found[_within(inside, window)] = pixels[_within(inside, own)]
     return found

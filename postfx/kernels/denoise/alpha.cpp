@@ -61,12 +61,6 @@ FN void each_span_around(const Cells& near, Long y, Long width, const Work& work
     }, work);
 }
 
-// A row's first and last number once more on either side.
-FN void repeat_edges(float* row, Long count) {
-    row[0] = row[1];
-    row[count + 1] = row[count];
-}
-
 // Means of samples.
 
 // What samples of a row were before, by quarter-pixels, what the frame's alpha adds to their means,
@@ -90,8 +84,7 @@ struct Former {
     int *top, *left, *start, *pixel;
 
     FN_MEMBER void find(const float* moved, Long y, Long x0, Long x1) const {
-        across(x0, x1, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(x0, x1, EACH(F, Long x) {
             const F by_x = pick<F, 2>(moved + 2 * x), by_y = pick<F, 2>(moved + 2 * x + 1);
             const F at_x = ramp<F>(float(x), 1.0f) + by_x, at_y = float(y) + by_y;
             F held = F(1.0f);
@@ -137,13 +130,12 @@ struct Former {
         float four[4];
         if (start[x] >= 0) {
             const float* at = samples + start[x];
-            const Eight second = load_many<Eight>(at + width),
-                        third = load_many<Eight>(at + 2 * width);
-            const Eight fourth = load_many<Eight>(at + 3 * width);
-            const Eight upper = load_many<Eight>(at) * rows[0] + second * rows[1] + third * rows[2]
+            const Eight second = load<Eight>(at + width), third = load<Eight>(at + 2 * width);
+            const Eight fourth = load<Eight>(at + 3 * width);
+            const Eight upper = load<Eight>(at) * rows[0] + second * rows[1] + third * rows[2]
                               + fourth * rows[3];
             const Eight lower = second * rows[0] + third * rows[1] + fourth * rows[2]
-                              + load_many<Eight>(at + 4 * width) * rows[3];
+                              + load<Eight>(at + 4 * width) * rows[3];
             const Four one = __builtin_shufflevector(upper, lower, 0, 1, 8, 9) * columns[0]
                            + __builtin_shufflevector(upper, lower, 1, 2, 9, 10) * columns[1]
                            + __builtin_shufflevector(upper, lower, 2, 3, 10, 11) * columns[2]
@@ -174,8 +166,7 @@ struct Former {
             found.variance[x] = pixel[x] >= 0 ? doubt[pixel[x]] : -1.0f;
             if (found.variance[x] >= 0.0f) sample(x, found);
         }
-        across_once(x0, x1, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across_once(x0, x1, EACH(F, Long x) {
             const F variance = load<F>(found.variance + x), zero = F(0.0f);
             const F sum = load<F>(found.quarter(0) + x) + load<F>(found.quarter(1) + x)
                         + load<F>(found.quarter(2) + x) + load<F>(found.quarter(3) + x);
@@ -191,8 +182,7 @@ struct Former {
 // either side.
 FN void sum_rows(const float* above, const float* here, const float* below, Long width,
                            float* sums) {
-    across(0, width, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(0, width, EACH(F, Long x) {
         store<F>(sums + 1 + x, load<F>(above + x) + load<F>(here + x) + load<F>(below + x));
     });
     repeat_edges(sums, width);
@@ -215,8 +205,7 @@ static Status gather_rows(Long first, Long last, Picture alpha, Picture moved, P
     for (Long y = first - 1; y <= last; y++) {
         const Predicted found = kept(y);
         const Long row = clip(y, h);
-        across(0, w, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, w, EACH(F, Long x) {
             store<F>(found.own + x, within<F>(load<F>(alpha(row) + x), 0.0f, 1.0f));
             store<F>(found.off + x, F(0.0f));
             store<F>(found.variance + x, F(-1.0f));
@@ -229,8 +218,7 @@ static Status gather_rows(Long first, Long last, Picture alpha, Picture moved, P
         const Predicted here = kept(at);
         float *upper = next_samples(2 * at), *lower = next_samples(2 * at + 1),
               *next = next_doubt(at);
-        across(0, w, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, w, EACH(F, Long x) {
             const F own = load<F>(here.own + x);
             store_pairs<F>(upper + 2 * x, own, own);
             store_pairs<F>(lower + 2 * x, own, own);
@@ -243,8 +231,7 @@ static Status gather_rows(Long first, Long last, Picture alpha, Picture moved, P
                 sum_rows(kept(at - 1).own, here.own, found.own, w, level);
             }
             summed = true;
-            across(x0, x1, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(x0, x1, EACH(F, Long x) {
                 const Update<F> to =
                     updated<F>(load<F>(here.off + x), load<F>(here.variance + x),
                                sum_of_three<F>(apart, x), sum_of_three<F>(level, x), *rates);
@@ -291,8 +278,7 @@ template <int CHANNELS> struct Shrunk {
         const Long top = first_within(at, h, height), bottom = first_within(at + 1, h, height);
         const Long left = first.at[begin], right = first.at[end];
         const float* from = picture + top * width * CHANNELS;
-        across(CHANNELS * left, CHANNELS * right, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
+        across(CHANNELS * left, CHANNELS * right, EACH(F, Long i) {
             F sum = load<F>(from + i);
             for (Long row = 1; row < bottom - top; row++)
                 sum += load<F>(from + row * width * CHANNELS + i);
@@ -301,8 +287,7 @@ template <int CHANNELS> struct Shrunk {
         float* planar = line.at;
         if constexpr (CHANNELS > 1) {
             planar += CHANNELS * width;
-            across(left, right, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(left, right, EACH(F, Long x) {
                 for (int c = 0; c < CHANNELS; c++)
                     store<F>(planar + c * width + x, pick<F, 3>(line.at + 3 * x + c));
             });
@@ -312,8 +297,7 @@ template <int CHANNELS> struct Shrunk {
             float* out = means + c * apart;
             if (width == 2 * w) {
                 const float share = 0.5f / float(bottom - top);
-                across(begin, end, PIXELS(auto one, Long x) {
-                    typedef decltype(one) F;
+                across(begin, end, EACH(F, Long x) {
                     store<F>(out + 1 + x,
                              (pick<F, 2>(sums + 2 * x) + pick<F, 2>(sums + 2 * x + 1)) * share);
                 });
@@ -353,8 +337,7 @@ static Status fit_rows(Long first, Long last, Picture picture, Picture next_samp
         const float *upper = next_samples(2 * at), *lower = next_samples(2 * at + 1);
         each_span_around(near, y, w, PIXELS(Long x0, Long x1) {
             shrunk.find(at, x0, x1, row, apart);
-            across(larger<Long>(x0 - 1, 0), smaller<Long>(x1 + 1, w), PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(larger<Long>(x0 - 1, 0), smaller<Long>(x1 + 1, w), EACH(F, Long x) {
                 store<F>(alpha + 1 + x, mean_of_samples<F>(upper + 2 * x, lower + 2 * x));
             });
         });
@@ -365,8 +348,7 @@ static Status fit_rows(Long first, Long last, Picture picture, Picture next_samp
             for (Long x = 0; x < w; x++) fit(c, to)[x] = 0.0f;
         }
         each_span_at(near, to, 1.0f, w, PIXELS(Long x0, Long x1) {
-            across(x0, x1, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(x0, x1, EACH(F, Long x) {
                 const Around around = {{kept(to - 1) + x, kept(to) + x, kept(to + 1) + x}, apart};
                 const Fit<F> found = fitted<F>(around);
                 for (int c = 0; c < 3; c++) store<F>(fit(c, to) + x, found.by[c]);
@@ -450,8 +432,7 @@ struct Sources {
 template <class At> FN void correct_span(const Sources& from, const At& at,
                                                   const Gain& gain, Long first, Long last,
                                                   float* out) {
-    across(first, last, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(first, last, EACH(F, Long x) {
         const auto own = PIXELS(int plane) {
             return at.template own<F>(from.own + plane * from.apart, x);
         };
@@ -479,8 +460,8 @@ template <class At> FN void correct_span(const Sources& from, const At& at,
 }
 template <class At>
 FN void keep_span(const Sources& from, const At& at, Long first, Long last, float* out) {
-    across(first, last, PIXELS(auto one, Long x) {
-        store<decltype(one)>(out + x, at.template own<decltype(one)>(from.means, x));
+    across(first, last, EACH(F, Long x) {
+        store<F>(out + x, at.template own<F>(from.means, x));
     });
 }
 
@@ -552,8 +533,7 @@ struct Corrector {
         const float *upper = samples(2 * at), *lower = samples(2 * at + 1), *doubts = doubt(at),
                     *by = moved(at);
         each_span_at(near, at, 1.0f, w, PIXELS(Long x0, Long x1) {
-            across(x0, x1, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(x0, x1, EACH(F, Long x) {
                 const F own = mean_of_samples<F>(upper + 2 * x, lower + 2 * x);
                 const Sums<F> around = sums_around<F>(mean(above) + x, mean(at) + x,
                                                       mean(below) + x);
@@ -568,18 +548,16 @@ struct Corrector {
         });
         for (int k = 0; k < 4; k++) {
             sum_rows(fit(k, above), fit(k, at), fit(k, below), w, own_means);
-            across(0, w, PIXELS(auto one, Long x) {
-                store<decltype(one)>(to(FACTORS + k) + x,
-                                     sum_of_three<decltype(one)>(own_means, x));
+            across(0, w, EACH(F, Long x) {
+                store<F>(to(FACTORS + k) + x, sum_of_three<F>(own_means, x));
             });
         }
         for (int plane = 0; plane < ROW_PLANES; plane++) repeat_edges(to(plane) - 1, w);
     }
     FN_MEMBER void put_own_means(Long row) const {
         const float *upper = samples(2 * row), *lower = samples(2 * row + 1);
-        across(0, w, PIXELS(auto one, Long x) {
-            store<decltype(one)>(own_means + 1 + x,
-                                 mean_of_samples<decltype(one)>(upper + 2 * x, lower + 2 * x));
+        across(0, w, EACH(F, Long x) {
+            store<F>(own_means + 1 + x, mean_of_samples<F>(upper + 2 * x, lower + 2 * x));
         });
     }
     // Planes between two rows of render pixels, and the samples between two of their own, as far as
@@ -596,8 +574,7 @@ struct Corrector {
     }
     FN_MEMBER void mix_row(const float* upper, const float* lower, float share, Long first,
                            Long last, float* out) const {
-        across(first, last, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(first, last, EACH(F, Long x) {
             store<F>(out + x, between<F>(load<F>(upper + x), load<F>(lower + x), F(share)));
         });
     }
@@ -669,27 +646,24 @@ EXPORT_ALONE(denoise_correct, correct_rows)
 
 // Filtering: the means of samples as the finest level, and the filtered level at output size.
 
-static void level_rows(Long first, Long last, Picture next_samples, Places rows, Places columns,
-                       Places, Places, NewPicture level) {
+static void level_row(Long y, Picture next_samples, Places rows, Places columns, Places, Places,
+                      NewPicture level) {
     const Long w = columns.size[0], left = Long(columns.at[0]), width = level.size[2];
     const Long held = Long(columns.at[w - 1]) - left + 1;
-    for (Long y = first; y < last; y++) {
-        float* out = level(0, y);
-        if (y >= rows.size[0]) {
-            for (Long x = 0; x < width; x++) out[x] = 0.0f;
-            continue;
-        }
-        const float *upper = next_samples(2 * Long(rows.at[y]), 2 * left);
-        const float *lower = next_samples(2 * Long(rows.at[y]) + 1, 2 * left);
-        across(0, held, PIXELS(auto one, Long x) {
-            store<decltype(one)>(out + x,
-                                 mean_of_samples<decltype(one)>(upper + 2 * x, lower + 2 * x));
-        });
-        for (Long x = held; x < w; x++) out[x] = out[held - 1];
-        for (Long x = w; x < width; x++) out[x] = 0.0f;
+    float* out = level(0, y);
+    if (y >= rows.size[0]) {
+        for (Long x = 0; x < width; x++) out[x] = 0.0f;
+        return;
     }
+    const float *upper = next_samples(2 * Long(rows.at[y]), 2 * left);
+    const float *lower = next_samples(2 * Long(rows.at[y]) + 1, 2 * left);
+    across(0, held, EACH(F, Long x) {
+        store<F>(out + x, mean_of_samples<F>(upper + 2 * x, lower + 2 * x));
+    });
+    for (Long x = held; x < w; x++) out[x] = out[held - 1];
+    for (Long x = w; x < width; x++) out[x] = 0.0f;
 }
-EXPORT_ALONE(denoise_alpha_level, level_rows)
+EXPORT_ALONE(denoise_alpha_level, level_row)
 
 // By the picture's weights of 3x3 pixels; where nothing is near, that of the pixel itself.
 static Status enlarge_rows(Long first, Long last, Picture filtered, FineHead fine, Places part_rows,
@@ -716,8 +690,7 @@ static Status enlarge_rows(Long first, Long last, Picture filtered, FineHead fin
             repeat_edges(line, w);
         }
         held = at.index;
-        across(0, width, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, width, EACH(F, Long x) {
             store<F>(out + x, within<F>(gather<F>(own, rooms.index.at + x), 0.0f, 1.0f));
         });
         Row row = {};
@@ -725,17 +698,15 @@ static Status enlarge_rows(Long first, Long last, Picture filtered, FineHead fin
         row.radiance = lines.at;
         row.line = w + 2;
         const int lower = int(Long(out_rows.at[n]) % 2);
-        const Weights sides[2] = {weights_of(down, distances_of(params->jitter_x + 0.25f)),
-                                  weights_of(down, distances_of(params->jitter_x - 0.25f))};
+        const Sides sides = sides_of(down, *params);
         Long done = 0;
         each_span_at(near, top + at.index, 1.0f, left + w, PIXELS(Long from, Long to) {
             const Long x0 = larger<Long>(from - left, 0), x1 = smaller<Long>(to - left, w);
             if (x0 >= x1) return;
             if (doubles) {
-                across(x0, x1, PIXELS(auto one, Long x) {
-                    typedef decltype(one) F;
-                    const AtCorner even = {row, sides[0], x, 2 * lower, 0},
-                                   odd = {row, sides[1], x, 2 * lower + 1, 1};
+                across(x0, x1, EACH(F, Long x) {
+                    const AtCorner even = {row, sides.left, x, 2 * lower, 0};
+                    const AtCorner odd = {row, sides.right, x, 2 * lower + 1, 1};
                     const F a = light_sample<F>(row, even, light_weights<F>(even), 0);
                     const F b = light_sample<F>(row, odd, light_weights<F>(odd), 0);
                     store_pairs<F>(out + 2 * x, within<F>(a, 0.0f, 1.0f), within<F>(b, 0.0f, 1.0f));
@@ -745,8 +716,7 @@ static Status enlarge_rows(Long first, Long last, Picture filtered, FineHead fin
             while (done < width && rooms.index.at[done] < x0) done++;
             const Long begin = done;
             while (done < width && rooms.index.at[done] < x1) done++;
-            across(begin, done, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(begin, done, EACH(F, Long x) {
                 const Anywhere place = {row, columns, down, lean_of(at.offset), x};
                 const F found = light_sample<F>(row, place, light_weights<F>(place), 0);
                 store<F>(out + x, within<F>(found, 0.0f, 1.0f));

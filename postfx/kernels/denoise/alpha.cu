@@ -8,14 +8,13 @@ struct Predicted {
     float quarters[4], own, off, variance;
 };
 
-__device__ inline bool moves_at(const View& moved, size_t pixel) {
+FN bool moves_at(const View& moved, size_t pixel) {
     const Pair by = pair(moved, pixel);
     return fabsf(by.x) >= LEAST_MOTION || fabsf(by.y) >= LEAST_MOTION;
 }
 
-__device__ inline Predicted predicted_at(const View& alpha, const View& moved, const View& samples,
-                                         const View& doubt, const View& near, const Rates& rates,
-                                         int y, int x) {
+FN Predicted predicted_at(const View& alpha, const View& moved, const View& samples,
+                          const View& doubt, const View& near, const Rates& rates, int y, int x) {
     const int h = alpha.size[0], w = alpha.size[1], height = samples.size[0],
               width = samples.size[1];
     const size_t pixel = size_t(y) * w + x;
@@ -87,12 +86,11 @@ extern "C" __global__ void denoise_gather(View alpha, View moved, View samples, 
 // 1), next_doubt (h, w, 1), moved (h, w, 2), gain (4,): variance of filtered alpha, noise of its
 // structure, sharpening, share of alpha by colours; picture (H, W, 3), fit (4, h, w), near (cells,
 // cells) -> corrected (H, W, 1): the samples' mean where near is below 2.
-__device__ inline int first_within(int at, int size, int out) {
+FN int first_within(int at, int size, int out) {
     return int((2 * size_t(out) * at + size - 1) / (2 * size_t(size)));
 }
 
-__device__ inline float mean_within(const View& filtered, int at_y, int at_x, int h, int w,
-                                    int channel = 0) {
+FN float mean_within(const View& filtered, int at_y, int at_x, int h, int w, int channel = 0) {
     const int top = first_within(at_y, h, filtered.size[0]),
               bottom = first_within(at_y + 1, h, filtered.size[0]);
     const int left = first_within(at_x, w, filtered.size[1]),
@@ -105,9 +103,8 @@ __device__ inline float mean_within(const View& filtered, int at_y, int at_x, in
     return total / float((bottom - top) * (right - left));
 }
 
-__device__ inline Lacking<float> lacking_at(const View& filtered, const View& samples,
-                                            const View& doubt, const Gain& gain, int at_y,
-                                            int at_x) {
+FN Lacking<float> lacking_at(const View& filtered, const View& samples, const View& doubt,
+                             const Gain& gain, int at_y, int at_x) {
     const int h = doubt.size[0], w = doubt.size[1];
     Sums<float> around = {};
     float here = 0.0f;
@@ -127,24 +124,19 @@ __device__ inline Lacking<float> lacking_at(const View& filtered, const View& sa
 
 // The two of `size` pixels between whose centres one of `out` pixels has its own, and the second
 // one's share.
-struct Beside {
-    int first, second;
-    float share;
-};
-
-__device__ inline Beside beside(int position, int size, int out) {
+FN Between beside(int position, int size, int out) {
     float offset;
     const int at = centre(position, size, out, offset), first = offset < 0.0f ? at - 1 : at;
     return {max(first, 0), min(first + 1, size - 1), offset < 0.0f ? offset + 1.0f : offset};
 }
 
-__device__ inline float mixed(float upper_left, float upper_right, float lower_left,
-                              float lower_right, float across, float down) {
+FN float mixed(float upper_left, float upper_right, float lower_left, float lower_right,
+               float across, float down) {
     return between<float>(between<float>(upper_left, upper_right, across),
                           between<float>(lower_left, lower_right, across), down);
 }
 
-__device__ inline float softened_at(const View& filtered, int y, int x) {
+FN float softened_at(const View& filtered, int y, int x) {
     const int height = filtered.size[0], width = filtered.size[1];
     float around[3][3];
     for (int i = 0; i < 9; i++)
@@ -183,8 +175,8 @@ extern "C" __global__ void denoise_fit(View picture, View next_samples, View nea
 }
 
 // Alpha by the colour of an output pixel: the fits of 3x3 pixels, averaged, and interpolated.
-__device__ inline float by_colour(const View& picture, const View& fit, const Beside& rows,
-                                  const Beside& columns, int y, int x) {
+FN float by_colour(const View& picture, const View& fit, const Between& rows, const Between& columns,
+                   int y, int x) {
     const int h = fit.size[1], w = fit.size[2];
     float sums[4] = {0.0f, 0.0f, 0.0f, 0.0f};
     for (int j = 0; j < 6; j++) {
@@ -192,8 +184,7 @@ __device__ inline float by_colour(const View& picture, const View& fit, const Be
         const size_t line = size_t(clip((j < 3 ? rows.first : rows.second) + j % 3 - 1, h)) * w;
         for (int i = 0; i < 6; i++) {
             const float weight = down * (i < 3 ? 1.0f - columns.share : columns.share);
-            const size_t at = line
-                              + clip((i < 3 ? columns.first : columns.second) + i % 3 - 1, w);
+            const size_t at = line + clip((i < 3 ? columns.first : columns.second) + i % 3 - 1, w);
             for (int c = 0; c < 4; c++) sums[c] += weight * fit.at[c * size_t(h) * w + at];
         }
     }
@@ -208,7 +199,7 @@ extern "C" __global__ void denoise_correct(View enlarged, View picture, View fit
               w = next_doubt.size[1];
     PIXEL(width, height);
     const Gain& by = *reinterpret_cast<const Gain*>(gain.at);
-    const Beside rows = beside(y, h, height), columns = beside(x, w, width);
+    const Between rows = beside(y, h, height), columns = beside(x, w, width);
     float offset, lacks[2][2];
     const int at_y = centre(y, h, height, offset), at_x = centre(x, w, width, offset);
     float* const to = corrected.at + size_t(y) * width + x;
@@ -230,7 +221,7 @@ extern "C" __global__ void denoise_correct(View enlarged, View picture, View fit
                   + mixed(lacks[0][0], lacks[0][1], lacks[1][0], lacks[1][1], columns.share,
                           rows.share);
     if (moves_at(moved, size_t(at_y) * w + at_x)) {
-        const Beside down = beside(y, 2 * h, height), across = beside(x, 2 * w, width);
+        const Between down = beside(y, 2 * h, height), across = beside(x, 2 * w, width);
         const float* const upper = next_samples.at + size_t(down.first) * 2 * w;
         const float* const lower = next_samples.at + size_t(down.second) * 2 * w;
         found += own.weight
@@ -253,11 +244,11 @@ struct Bounds {
     float low, high;
 };
 
-__device__ inline Bounds join(const Bounds& one, const Bounds& other) {
+FN Bounds join(const Bounds& one, const Bounds& other) {
     return {fminf(one.low, other.low), fmaxf(one.high, other.high)};
 }
 
-__device__ inline Bounds bounds_of_cell(const View& alpha, int y, int x) {
+FN Bounds bounds_of_cell(const View& alpha, int y, int x) {
     const int bottom = min(NEAR_CELL * (y + 1), alpha.size[0]),
               right = min(NEAR_CELL * (x + 1), alpha.size[1]);
     Bounds found = {1.0f, 0.0f};

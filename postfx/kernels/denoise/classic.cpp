@@ -8,16 +8,10 @@
 
 // 1 / depth of a row, with a number more on either side.
 FN void fill_near(const float* depth, Long count, float* near) {
-    across(0, count, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(0, count, EACH(F, Long x) {
         store<F>(near + 1 + x, nearness_of<F>(load<F>(depth + x)));
     });
-    near[0] = near[1];
-    near[count + 1] = near[count];
-}
-
-FN void clear(float* row, Long from, Long to) {
-    for (Long i = from; i < to; i++) row[i] = 0.0f;
+    repeat_edges(near, count);
 }
 
 // A state of zeros is unknown, and so it is at the part's edges within the frame.
@@ -37,11 +31,11 @@ static Status gather_rows(Long first, Long last, Picture colour, Picture diffuse
     float *past = room.at, *hidden = past + 4 * columns, *near = hidden + HIDDEN * columns;
     for (Long y = first; y < last; y++) {
         const Long held = y < rows ? columns : 0, v = top + y;
-        for (int c = 0; c < 4; c++) clear(light(c, y), held, tw);
-        for (int c = 0; c < 6; c++) clear(surface(c, y), held, tw);
-        clear(factor(y), 3 * held, 3 * tw);
-        clear(next_state(y), STATE * held, STATE * tw);
-        clear(next_depth(y), held, tw);
+        for (int c = 0; c < 4; c++) fill(light(c, y), held, tw, 0.0f);
+        for (int c = 0; c < 6; c++) fill(surface(c, y), held, tw, 0.0f);
+        fill(factor(y), 3 * held, 3 * tw, 0.0f);
+        fill(next_state(y), STATE * held, STATE * tw, 0.0f);
+        fill(next_depth(y), held, tw, 0.0f);
         if (held == 0) continue;
         locate_row(from, y, rooms);
         recall_row(from, rooms, past, hidden, columns);
@@ -54,8 +48,7 @@ static Status gather_rows(Long first, Long last, Picture colour, Picture diffuse
         const float *rgb = colour(v, left), *some = diffuse(v, left), *others = specular(v, left);
         const float *facing = normal(v, left), *far = depth(v, left);
         float *by = factor(y), *kept = next_state(y);
-        across(0, held, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, held, EACH(F, Long x) {
             const Tint<F> tint = tint_at<F>(some, others, x);
             const F reflectance[3] = {tint.red, tint.green, tint.blue};
             store_triples<F>(by + 3 * x, tint.red, tint.green, tint.blue);
@@ -83,16 +76,13 @@ static Status gather_rows(Long first, Long last, Picture colour, Picture diffuse
                      slope<F>(load<F>(lines[1] + x), here, load<F>(lines[1] + 2 + x)));
             store<F>(surface(5, y) + x,
                      slope<F>(load<F>(lines[0] + 1 + x), here, load<F>(lines[2] + 1 + x)));
-            UNROLL for (int i = 0; i < STATE; i += 4) {
-                spread_four<STATE>(kept + STATE * x + i, found.state[i], found.state[i + 1],
-                                   found.state[i + 2], found.state[i + 3]);
-            }
+            store_state<F>(kept + STATE * x, found.state);
         });
         if ((y == 0 && top > 0) || (y == th - 1 && under)) {
-            clear(kept, 0, STATE * tw);
+            fill(kept, 0, STATE * tw, 0.0f);
         } else {
-            if (left > 0) clear(kept, 0, STATE);
-            if (beside) clear(kept, STATE * (tw - 1), STATE * tw);
+            if (left > 0) fill(kept, 0, STATE, 0.0f);
+            if (beside) fill(kept, STATE * (tw - 1), STATE * tw, 0.0f);
         }
     }
     return DONE;
@@ -180,15 +170,12 @@ struct Atrous {
 // more on either side.
 FN void fill_spread(const float* above, const float* here, const float* below, Long w, float* line,
                     float* spread) {
-    across(0, w, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(0, w, EACH(F, Long x) {
         const F outer = load<F>(above + x) + load<F>(below + x);
         store<F>(line + 1 + x, 0.25f * outer + 0.5f * load<F>(here + x));
     });
-    line[0] = line[1];
-    line[w + 1] = line[w];
-    across(0, w, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    repeat_edges(line, w);
+    across(0, w, EACH(F, Long x) {
         const F outer = load<F>(line + x) + load<F>(line + 2 + x);
         const F found = 0.25f * outer + 0.5f * load<F>(line + 1 + x);
         store<F>(spread + x, 1.0f / (LUMINANCE * root_of(found) + 1e-4f));
@@ -207,7 +194,7 @@ static Status atrous_rows(Long first, Long last, Picture light, Picture surface,
     const Long begin = smaller<Long>(reach, w), end = larger<Long>(w - reach, begin);
     for (Long y = first; y < last; y++) {
         float* const out[4] = {smooth(0, y), smooth(1, y), smooth(2, y), smooth(3, y)};
-        for (float* row : out) clear(row, y < h ? w : 0, smooth.size[2]);
+        for (float* row : out) fill(row, y < h ? w : 0, smooth.size[2], 0.0f);
         if (y >= h) continue;
         fill_spread(light(3, larger<Long>(y - 1, 0)), light(3, y),
                     light(3, smaller<Long>(y + 1, h - 1)), w, line, spread);
@@ -217,11 +204,11 @@ static Status atrous_rows(Long first, Long last, Picture light, Picture surface,
             filter.held[j] = v >= 0 && v < h;
             if (filter.held[j]) filter.rows[j] = lines_of(light, surface, v);
         }
-        const auto edge = PIXELS(auto one, Long x) { filter.pixel<decltype(one), true>(x, out); };
+        const auto edge = EACH(F, Long x) { filter.pixel<F, true>(x, out); };
         const bool wide = end - begin >= WIDE;
         if (wide) {
-            across(begin, end, PIXELS(auto one, Long x) {
-                filter.pixel<decltype(one), false>(x, out);
+            across(begin, end, EACH(F, Long x) {
+                filter.pixel<F, false>(x, out);
             });
         }
         const Long spans[2][2] = {{0, wide ? begin : w}, {wide ? end : w, w}};
@@ -244,18 +231,13 @@ EXPORT_ALONE(denoise_atrous, atrous_rows)
 FN void shade(const Picture& light, const Picture& factor, Long y, Long count, float* rows,
               Long apart) {
     const float* by = factor(y);
-    across(0, count, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(0, count, EACH(F, Long x) {
         for (int c = 0; c < 3; c++) {
             store<F>(rows + c * apart + 1 + x,
                      load<F>(light(c, y) + x) * pick<F, 3>(by + 3 * x + c));
         }
     });
-    for (int c = 0; c < 3; c++) {
-        float* row = rows + c * apart;
-        row[0] = row[1];
-        row[count + 1] = row[count];
-    }
+    for (int c = 0; c < 3; c++) repeat_edges(rows + c * apart, count);
 }
 
 static Status resolve_rows(Long first, Long last, Picture light, Picture factor,
@@ -288,8 +270,7 @@ static Status resolve_rows(Long first, Long last, Picture light, Picture factor,
         kept = at.index;
         const Distances down = distances_of(params->jitter_y - at.offset);
         const float total = TINY + down.near[0] + down.near[1] + down.near[2];
-        across(0, 3 * apart, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
+        across(0, 3 * apart, EACH(F, Long i) {
             F sum = F(0.0f);
             for (int j = 0; j < 3; j++) {
                 sum += load<F>(rows + 3 * j * apart + i) * (down.near[j] / total);
@@ -297,8 +278,7 @@ static Status resolve_rows(Long first, Long last, Picture light, Picture factor,
             store<F>(columns + i, sum);
         });
         float *out = output(y), *logs = history(y);
-        const auto pixels = PIXELS(auto one, Long x, const auto& sample) {
-            typedef decltype(one) F;
+        const auto pixels = EACH(F, Long x, const auto& sample) {
             F encoded[3], found[3];
             for (int c = 0; c < 3; c++) {
                 F sum = F(0.0f);
@@ -313,16 +293,14 @@ static Status resolve_rows(Long first, Long last, Picture light, Picture factor,
             store_triples<F>(out + 3 * x, found[0], found[1], found[2]);
         };
         if (twice) {
-            across(0, width, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(0, width, EACH(F, Long x) {
                 pixels(F(), x, PIXELS(const float* row) {
                     if constexpr (Of<F>::COUNT == 1) return row[x / 2];
                     else return each_twice<F>(row + x / 2);
                 });
             });
         } else {
-            across(0, width, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(0, width, EACH(F, Long x) {
                 pixels(F(), x, PIXELS(const float* row) { return gather<F>(row, index.at + x); });
             });
         }

@@ -3,17 +3,15 @@
 #include "classic.h"
 
 // 1 / depth of a pixel of the frame, edges repeated.
-__device__ inline float nearness_at(const View& depth, int y, int x) {
+FN float nearness_at(const View& depth, int y, int x) {
     const int h = depth.size[0], w = depth.size[1];
     return nearness_of<float>(depth.at[size_t(clip(y, h)) * w + clip(x, w)]);
 }
 
 // Six planes of a pixel's surface, `plane` numbers apart.
-__device__ inline void put_surface(float* to, size_t plane, const float* normal, const View& depth,
-                                   int y, int x) {
+FN void put_surface(float* to, size_t plane, const float* normal, const View& depth, int y, int x) {
     const float here = nearness_at(depth, y, x);
-#pragma unroll
-    for (int c = 0; c < 3; c++) to[c * plane] = clamped(normal[c], -1.0f, 1.0f);
+    UNROLL for (int c = 0; c < 3; c++) to[c * plane] = clamped(normal[c], -1.0f, 1.0f);
     to[3 * plane] = here;
     to[4 * plane] = slope<float>(nearness_at(depth, y, x - 1), here, nearness_at(depth, y, x + 1));
     to[5 * plane] = slope<float>(nearness_at(depth, y - 1, x), here, nearness_at(depth, y + 1, x));
@@ -54,17 +52,13 @@ extern "C" __global__ void denoise_classic_gather(View colour, View diffuse_albe
         light_without(colour.at + 3 * source, by, params.at[EXPOSURE]), before, z, gain);
     const bool edge = (y == 0 && v > 0) || (x == 0 && u > 0) || (y == th - 1 && v + 1 < h)
                       || (x == tw - 1 && u + 1 < w);
-#pragma unroll
-    for (int c = 0; c < 3; c++) {
+    UNROLL for (int c = 0; c < 3; c++) {
         const float* const state = now.state + 4 * c;
         four(next_state, 3 * here + c) = edge ? none : Four{state[0], state[1], state[2], state[3]};
     }
     next_depth.at[here] = z;
-    factor.at[3 * here] = by.r;
-    factor.at[3 * here + 1] = by.g;
-    factor.at[3 * here + 2] = by.b;
-#pragma unroll
-    for (int c = 0; c < 4; c++) light.at[c * plane + here] = now.light[c];
+    put(factor.at + 3 * here, by);
+    UNROLL for (int c = 0; c < 4; c++) light.at[c * plane + here] = now.light[c];
     put_surface(surface.at + here, plane, normal.at + 3 * source, depth, v, u);
 }
 
@@ -75,7 +69,7 @@ struct Tap {
     Surface<float> surface;
 };
 
-__device__ inline Tap tap_at(const View& light, const View& surface, size_t at) {
+FN Tap tap_at(const View& light, const View& surface, size_t at) {
     const size_t plane = size_t(light.size[1]) * light.size[2];
     const float *const from = light.at + at, *const on = surface.at + at;
     const float r = from[0], g = from[plane], b = from[2 * plane];
@@ -85,15 +79,13 @@ __device__ inline Tap tap_at(const View& light, const View& surface, size_t at) 
 }
 
 // 1 / (4 standard deviations of luminance), from the variance of 3x3 pixels of the picture.
-__device__ inline float sharpness_at(const View& light, int y, int x, int h, int w) {
+FN float sharpness_at(const View& light, int y, int x, int h, int w) {
     const int width = light.size[2];
     const float* const variance = light.at + 3 * size_t(light.size[1]) * width;
     float sum = 0.0f;
-#pragma unroll
-    for (int j = -1; j <= 1; j++) {
+    UNROLL for (int j = -1; j <= 1; j++) {
         const float* const row = variance + size_t(clip(y + j, h)) * width;
-        const float across = 0.25f * (row[clip(x - 1, w)] + row[clip(x + 1, w)])
-                             + 0.5f * row[x];
+        const float across = 0.25f * (row[clip(x - 1, w)] + row[clip(x + 1, w)]) + 0.5f * row[x];
         sum += (j ? 0.25f : 0.5f) * across;
     }
     return 1.0f / (LUMINANCE * sqrtf(sum) + 1e-4f);
@@ -115,14 +107,12 @@ extern "C" __global__ void denoise_atrous(View light, View surface, View step, V
     const Tap own = tap_at(light, surface, here);
     const float across = surface.at[4 * plane + here], down = surface.at[5 * plane + here];
     const float sharp = sharpness_at(light, y, x, h, w);
-    Colour sum = {0.25f * own.light.r, 0.25f * own.light.g, 0.25f * own.light.b};
+    Colour sum = own.light * 0.25f;
     float variance = 0.0625f * own.variance, total = 0.25f;
-#pragma unroll
-    for (int j = -1; j <= 1; j++) {
+    UNROLL for (int j = -1; j <= 1; j++) {
         const int v = y + j * reach;
         if (v < 0 || v >= h) continue;
-#pragma unroll
-        for (int i = -1; i <= 1; i++) {
+        UNROLL for (int i = -1; i <= 1; i++) {
             const int u = x + i * reach;
             if (u < 0 || u >= w || (i == 0 && j == 0)) continue;
             const Tap other = tap_at(light, surface, size_t(v) * width + u);
@@ -135,9 +125,7 @@ extern "C" __global__ void denoise_atrous(View light, View surface, View step, V
         }
     }
     const float share = 1.0f / total;
-    to[0] = sum.r * share;
-    to[plane] = sum.g * share;
-    to[2 * plane] = sum.b * share;
+    put(to, sum * share, plane);
     to[3 * plane] = variance * share * share;
 }
 
@@ -161,23 +149,18 @@ extern "C" __global__ void denoise_resolve(View light, View factor, View params,
     const float total = (TINY + narrow[0] + narrow[1] + narrow[2])
                         * (TINY + high[0] + high[1] + high[2]);
     Colour sum = {0.0f, 0.0f, 0.0f};
-#pragma unroll
-    for (int j = 0; j < 3; j++) {
+    UNROLL for (int j = 0; j < 3; j++) {
         const size_t line = size_t(clip(row + j - 1, h)) * width;
-#pragma unroll
-        for (int i = 0; i < 3; i++) {
+        UNROLL for (int i = 0; i < 3; i++) {
             const size_t at = line + clip(column + i - 1, w);
-            const float* const by = factor.at + 3 * at;
-            const Colour own = {light.at[at] * by[0], light.at[plane + at] * by[1],
-                                light.at[2 * plane + at] * by[2]};
+            const Colour own = three(light.at + at, plane) * three(factor.at + 3 * at);
             add(sum, own, high[j] * narrow[i] / total);
         }
     }
     const float darken = 1.0f / params.at[EXPOSURE],
                 logs[3] = {log_encode(sum.r), log_encode(sum.g), log_encode(sum.b)};
     const size_t to = 3 * (size_t(y) * output.size[1] + x);
-#pragma unroll
-    for (int c = 0; c < 3; c++) {
+    UNROLL for (int c = 0; c < 3; c++) {
         next_history.at[to + c] = logs[c];
         output.at[to + c] = expm1_of(logs[c]) * darken;
     }

@@ -7,20 +7,19 @@
 #include "store.h"
 #include "tints.h"
 
-typedef View<const float, 3> Picture;
-typedef View<float, 3> NewPicture;
-
 struct Looks {
     Picture colour, diffuse, specular, normal, roughness, depth, moved, state, last_depth, warped;
-    float depth_scale;
-    Params params;
-    Window window;
+    Places depth_scale;
+    Given<Params> params;
+    Given<Window> window;
     Picture keep;
     Places seen_rows, seen_columns;
+    typedef Arrays<Picture, Picture, Picture, Picture, Picture, Picture, Picture, Picture, Picture,
+                   Picture, Places, Given<Params>, Given<Window>, Picture, Places, Places> Members;
 
     // Columns of the part that lie in the frame.
     Long held(const NewPicture& past) const {
-        return smaller<Long>(past.size[1], Long(window.width) - Long(window.left));
+        return smaller<Long>(past.size[1], Long(window->width) - Long(window->left));
     }
 };
 
@@ -54,7 +53,7 @@ struct ChannelRows {
 };
 
 FN void fill_edges(const Looks& looks, const FeatureRooms& rooms) {
-    const Window& window = looks.window;
+    const Window& window = *looks.window;
     const Long w = Long(window.width), width = Long(window.out_width), first = Long(window.left);
     for (Long x = 0; x < rooms.count; x++) {
         rooms.left()[x] = int((first + x) * width / w - Long(window.out_left));
@@ -64,8 +63,7 @@ FN void fill_edges(const Looks& looks, const FeatureRooms& rooms) {
 
 // Mean of the output pixels that each render pixel of a row touches.
 FN void mean_row(const Looks& looks, Long top, Long bottom, const FeatureRooms& rooms) {
-    across(0, rooms.out, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(0, rooms.out, EACH(F, Long x) {
         for (int c = 0; c < 3; c++) {
             F total = F(0.0f);
             for (Long y = top; y < bottom; y++) total += pick<F, 3>(looks.warped(y) + 3 * x + c);
@@ -80,14 +78,12 @@ FN void mean_row(const Looks& looks, Long top, Long bottom, const FeatureRooms& 
         const float* total = rooms.total(c);
         float* mean = rooms.mean(c);
         if (even && step == 2) {
-            across(0, count, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(0, count, EACH(F, Long x) {
                 const float* from = total + left[0] + 2 * x;
                 store<F>(mean + x, (pick<F, 2>(from) + pick<F, 2>(from + 1)) * share);
             });
         } else if (even) {
-            across(0, count, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(0, count, EACH(F, Long x) {
                 store<F>(mean + x, load<F>(total + left[0] + x) * share);
             });
         } else {
@@ -103,12 +99,12 @@ FN void mean_row(const Looks& looks, Long top, Long bottom, const FeatureRooms& 
 // A row of all channels up to the frame's right edge, and of `light`.
 FN void feature_row(const Looks& looks, Long here, const FeatureRooms& rooms, float* light,
                     const ChannelRows& to) {
-    const Window& window = looks.window;
+    const Window& window = *looks.window;
     const Long y = Long(window.top) + here, first = Long(window.left), count = rooms.count;
     const Long h = Long(window.height), height = Long(window.out_height),
                above = Long(window.out_top);
     const Recall before = {looks.moved, looks.state,  looks.last_depth,
-                           looks.keep,  looks.params, looks.window};
+                           looks.keep,  *looks.params, *looks.window};
     locate_row(before, here, rooms);
     recall_row(before, rooms, light, to(PLANAR), to.step);
     mean_row(looks, y * height / h - above, ((y + 1) * height + h - 1) / h - above, rooms);
@@ -116,9 +112,8 @@ FN void feature_row(const Looks& looks, Long here, const FeatureRooms& rooms, fl
     const float *some = looks.diffuse(y, first), *others = looks.specular(y, first);
     const float *rough = looks.roughness(y, first), *depth = looks.depth(y, first),
                 *motion = looks.moved(here);
-    const float exposure = looks.params.exposure, scale = looks.depth_scale;
-    across(0, count, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    const float exposure = looks.params->exposure, scale = *looks.depth_scale.at;
+    across(0, count, EACH(F, Long x) {
         const F valid = load<F>(rooms.valid() + x);
         F diffuse[3], specular[3];
         for (int c = 0; c < 3; c++) {
@@ -144,8 +139,8 @@ FN void feature_row(const Looks& looks, Long here, const FeatureRooms& rooms, fl
         store<F>(to(20) + x, depth_change<F>(load<F>(rooms.before() + x), near) * valid);
         store<F>(to(21) + x, valid);
         store<F>(to(22) + x, larger<F>(pick<F, 4>(light + 4 * x + 3), F(0.0f)) / MAX_COUNT);
-        store<F>(to(23) + x, F(looks.params.jitter_x));
-        store<F>(to(24) + x, F(looks.params.jitter_y));
+        store<F>(to(23) + x, F(looks.params->jitter_x));
+        store<F>(to(24) + x, F(looks.params->jitter_y));
         const F px = pick<F, 2>(motion + 2 * x), py = pick<F, 2>(motion + 2 * x + 1);
         store<F>(to(25) + x, log1p_of<F>(root_of(px * px + py * py)) * 0.25f);
         store<F>(to(26) + x, F(window.width / window.out_width));
@@ -160,8 +155,8 @@ FN void mirror_light(const Looks& looks, Long count, const NewPicture& past, flo
     }
 }
 
-static Status feature_rows(Long first, Long last, const Looks& looks, const NewPicture& past,
-                           const View<float, 4>& features) {
+static Status feature_rows(Long first, Long last, Looks looks, NewPicture past,
+                           View<float, 4> features) {
     const Long count = looks.held(past), width = features.size[3];
     const FeatureRooms rooms(count, past.size[1], looks.warped.size[1]);
     if (!rooms) return NO_MEMORY;
@@ -177,10 +172,11 @@ static Status feature_rows(Long first, Long last, const Looks& looks, const NewP
     }
     return DONE;
 }
+EXPORT_ALONE(denoise_features, feature_rows)
 
 // The same in 8 bits, without a plane between, with a border or without.
-static Status stored_feature_rows(Long first, Long last, const Looks& looks, const CodingOf& coding,
-                                  const NewPicture& past, const View<byte, 4>& stored) {
+static Status stored_feature_rows(Long first, Long last, Looks looks, CodingOf coding,
+                                  NewPicture past, View<byte, 4> stored) {
     const Long count = looks.held(past), words = stored.size[3] / WORD,
                height = looks.seen_rows.size[0];
     const Long ring = (stored.size[1] - height) / 2;
@@ -206,26 +202,7 @@ static Status stored_feature_rows(Long first, Long last, const Looks& looks, con
     }
     return DONE;
 }
-
-#define LOOKS                                                                                      \
-    Picture colour, Picture diffuse, Picture specular, Picture normal, Picture roughness,          \
-        Picture depth, Picture moved, Picture state, Picture last_depth, Picture warped,           \
-        Places depth_scale, Given<Params> params, Given<Window> window, Picture keep,              \
-        Places seen_rows, Places seen_columns
-#define LOOKED                                                                                     \
-    {colour, diffuse, specular, normal, roughness, depth, moved, state, last_depth, warped,        \
-     *depth_scale.at, *params, *window, keep, seen_rows, seen_columns}
-
-static Status features(Long first, Long last, LOOKS, NewPicture past, View<float, 4> features) {
-    return feature_rows(first, last, LOOKED, past, features);
-}
-EXPORT_ALONE(denoise_features, features)
-
-static Status stored_features(Long first, Long last, LOOKS, CodingOf coding, NewPicture past,
-                              View<byte, 4> stored) {
-    return stored_feature_rows(first, last, LOOKED, coding, past, stored);
-}
-EXPORT_ALONE(denoise_features_stored, stored_features)
+EXPORT_ALONE(denoise_features_stored, stored_feature_rows)
 
 // Planes in 8 bits.
 
@@ -257,8 +234,7 @@ template <int STEP>
 FN void picked_planes(const float* row, const int* columns, float low, float high, Long count,
                       const ChannelRows& to, int channel) {
     for (int c = 0; c < STEP; c++) {
-        across(0, count, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, count, EACH(F, Long x) {
             store<F>(to(channel + c) + x,
                      held<F>(gather<F, STEP>(row + c, columns + x), low, high));
         });
@@ -343,8 +319,7 @@ struct TrustRooms {
 
 // Adds what a row of guides differs by in each render pixel.
 FN void add_guides(const TrustRooms& rooms, int most) {
-    across_once(0, rooms.count, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across_once(0, rooms.count, EACH(F, Long x) {
         const F touched = number(load_int<F>(rooms.touched() + x)), zero = F(0.0f);
         F square = load<F>(rooms.square() + x);
         for (int c = 0; c < 3; c++) {
@@ -364,8 +339,7 @@ FN void add_guides(const TrustRooms& rooms, int most) {
 
 // Adds a row of render pixels to its cells.
 FN void add_judged(const TrustRooms& rooms, Long rows) {
-    across_once(0, rooms.count, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across_once(0, rooms.count, EACH(F, Long x) {
         const F share = 1.0f / (number(load_int<F>(rooms.touched() + x)) * float(rows));
         F apart = load<F>(rooms.apart() + x);
         for (int c = 0; c < 3; c++) {

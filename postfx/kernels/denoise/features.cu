@@ -9,8 +9,7 @@
 // they are together, (1, hp, wp, 40).
 
 // Mean of the output pixels that render pixel (y, x) of the frame touches.
-__device__ inline Colour touched_mean(const View& warped, unsigned y, unsigned x,
-                                      const Window& part) {
+FN Colour touched_mean(const View& warped, unsigned y, unsigned x, const Window& part) {
     const unsigned h = part.h, w = part.w, height = part.height, width = part.width;
     const int left = int(x * width / w) - part.out_left,
               right = int(((x + 1) * width + w - 1) / w) - part.out_left;
@@ -29,52 +28,33 @@ __device__ inline Colour touched_mean(const View& warped, unsigned y, unsigned x
     Colour sum = {0.0f, 0.0f, 0.0f};
     for (int j = top; j < bottom; j++) {
         const float* row = warped.at + 3 * (size_t(j) * warped.size[1]);
-        for (int i = left; i < right; i++) {
-            sum.r += row[3 * i];
-            sum.g += row[3 * i + 1];
-            sum.b += row[3 * i + 2];
-        }
+        for (int i = left; i < right; i++) add(sum, three(row + 3 * i), 1.0f);
     }
-    const float share = 1.0f / float((bottom - top) * (right - left));
-    return {sum.r * share, sum.g * share, sum.b * share};
+    return sum * (1.0f / float((bottom - top) * (right - left)));
 }
 
-__device__ inline Colour three(const View& picture, size_t pixel) {
-    const float* at = picture.at + 3 * pixel;
-    return {at[0], at[1], at[2]};
+FN Colour three(const View& picture, size_t pixel) { return three(picture.at + 3 * pixel); }
+
+FN void put_bounded(float* to, const Colour& value, float low, float high, size_t step = 1) {
+    put(to, {clamped(value.r, low, high), clamped(value.g, low, high), clamped(value.b, low, high)},
+        step);
 }
 
-// Three channels from `to` on.
-__device__ inline void put(float* to, const Colour& value) {
-    to[0] = value.r;
-    to[1] = value.g;
-    to[2] = value.b;
-}
-
-__device__ inline void put_bounded(float* to, const Colour& value, float low, float high) {
-    put(to,
-        {clamped(value.r, low, high), clamped(value.g, low, high), clamped(value.b, low, high)});
-}
-
-__device__ inline void put_four(float* to, const Four& value) {
+FN void put_four(float* to, const Four& value) {
     put(to, {value.x, value.y, value.z});
     to[3] = value.w;
 }
 
 // All channels of a pixel go to planes, or stay together in half precision.
-__device__ inline void keep_planes(const float* channels, const View& features, size_t pixel,
-                                   size_t plane) {
-#pragma unroll
-    for (int i = 0; i < FEATURES; i++) features.at[i * plane + pixel] = channels[i];
+FN void keep_planes(const float* channels, const View& features, size_t pixel, size_t plane) {
+    UNROLL for (int i = 0; i < FEATURES; i++) features.at[i * plane + pixel] = channels[i];
 }
 
-__device__ inline void keep_together(const float* channels, const View& packed, size_t pixel) {
+FN void keep_together(const float* channels, const View& packed, size_t pixel) {
     Halves* const to = halves(packed) + pixel * (packed.size[3] / 8);
-#pragma unroll
-    for (int first = 0; first < FEATURES; first += 8) {
+    UNROLL for (int first = 0; first < FEATURES; first += 8) {
         Halves some;
-#pragma unroll
-        for (int i = 0; i < 8; i++)
+        UNROLL for (int i = 0; i < 8; i++)
             some.at[i] = first + i < FEATURES ? to_half(channels[first + i]) : 0;
         to[first / 8] = some;
     }
@@ -82,28 +62,28 @@ __device__ inline void keep_together(const float* channels, const View& packed, 
 
 // This frame's colour of a channel without reflectance, log-encoded; `share` is one over the
 // reflectance.
-__device__ inline float encoded_now(float value, float exposure, float share) {
+FN float encoded_now(float value, float exposure, float share) {
     return log1p_of(fminf(clamped(value, 0.0f, MAX_FLOAT) * exposure * share, MAX_COLOUR));
 }
 
 // The same of the last output, which is log-encoded; what no frame can hold counts as the
 // brightest.
-__device__ inline float encoded_last(float encoded, float share) {
+FN float encoded_last(float encoded, float share) {
     return log_encode(expm1_of(fminf(fmaxf(encoded, 0.0f), MOST_LOG)) * share);
 }
 
 // The change of depth since the frame before.
-__device__ inline float depth_change(float before, float depth) {
+FN float depth_change(float before, float depth) {
     const float ratio = clamped(before, NEAREST, MAX_DEPTH) / fmaxf(depth, NEAREST);
     return fminf(fmaxf(4.0f * logf(ratio), -1.0f), 1.0f);
 }
 
-template <bool TOGETHER>
-__device__ inline void prepare_features(View colour, View diffuse_albedo, View specular_albedo,
-                                        View normal, View roughness, View depth, View moved,
-                                        View state, View last_depth, View warped, View depth_scale,
-                                        View params, View window, View keep, View seen_rows,
-                                        View seen_columns, View past, View features) {
+template <class Number>
+__global__ void denoise_features(View colour, View diffuse_albedo, View specular_albedo,
+                                 View normal, View roughness, View depth, View moved, View state,
+                                 View last_depth, View warped, View depth_scale, View params,
+                                 View window, View keep, View seen_rows, View seen_columns,
+                                 View past, View features) {
     const int height = seen_rows.size[0], width = seen_columns.size[0];
     PIXEL(width, height);
     const Window part = window_of(window);
@@ -124,16 +104,16 @@ __device__ inline void prepare_features(View colour, View diffuse_albedo, View s
     const Colour mean = touched_mean(warped, v, u, part);
     const Colour factor = demodulation(diffuse_albedo, specular_albedo, v, u);
     const Colour share = {1.0f / factor.r, 1.0f / factor.g, 1.0f / factor.b};
-    const Colour kept = {memory.mean.x * gain, memory.mean.y * gain, memory.mean.z * gain};
+    const Colour kept = Colour{memory.mean.x, memory.mean.y, memory.mean.z} * gain;
 
     float to[FEATURES];
     put(to, {encoded_now(now.r, exposure, share.r), encoded_now(now.g, exposure, share.g),
              encoded_now(now.b, exposure, share.b)});
     put(to + 3, {log_encode(kept.r * memory.valid), log_encode(kept.g * memory.valid),
                  log_encode(kept.b * memory.valid)});
-    put(to + 6,
-        {encoded_last(mean.r, memory.valid * share.r), encoded_last(mean.g, memory.valid * share.g),
-         encoded_last(mean.b, memory.valid * share.b)});
+    put(to + 6, {encoded_last(mean.r, memory.valid * share.r),
+                 encoded_last(mean.g, memory.valid * share.g),
+                 encoded_last(mean.b, memory.valid * share.b)});
     put_bounded(to + 9, diffuse, 0.0f, MOST_REFLECTANCE);
     put_bounded(to + 12, specular, 0.0f, MOST_REFLECTANCE);
     put_bounded(to + 15, direction, -1.0f, 1.0f);
@@ -148,30 +128,10 @@ __device__ inline void prepare_features(View colour, View diffuse_albedo, View s
     to[26] = float(w) / float(part.width);
     put_four(to + 27, memory.first);
     put_four(to + 31, memory.second);
-    if (TOGETHER) keep_together(to, features, seen);
+    if (sizeof(Number) == sizeof(Half)) keep_together(to, features, seen);
     else keep_planes(to, features, seen, size_t(height) * width);
     if (y < past.size[0] && x < past.size[1])
         four(past, size_t(y) * past.size[1] + x) = {kept.r, kept.g, kept.b, memory.mean.w};
-}
-
-extern "C" __global__ void denoise_features(View colour, View diffuse_albedo, View specular_albedo,
-                                            View normal, View roughness, View depth, View moved,
-                                            View state, View last_depth, View warped,
-                                            View depth_scale, View params, View window, View keep,
-                                            View seen_rows, View seen_columns, View past,
-                                            View features) {
-    prepare_features<false>(colour, diffuse_albedo, specular_albedo, normal, roughness, depth,
-                            moved, state, last_depth, warped, depth_scale, params, window, keep,
-                            seen_rows, seen_columns, past, features);
-}
-
-extern "C" __global__ void denoise_features_half(
-    View colour, View diffuse_albedo, View specular_albedo, View normal, View roughness, View depth,
-    View moved, View state, View last_depth, View warped, View depth_scale, View params,
-    View window, View keep, View seen_rows, View seen_columns, View past, View features) {
-    prepare_features<true>(colour, diffuse_albedo, specular_albedo, normal, roughness, depth, moved,
-                           state, last_depth, warped, depth_scale, params, window, keep, seen_rows,
-                           seen_columns, past, features);
 }
 
 // Planes of what mirrors and glass show: denoising_albedo and denoising_normal (h, w, 3), window
@@ -187,12 +147,8 @@ extern "C" __global__ void denoise_mirrored(View denoising_albedo, View denoisin
     const Colour albedo = three(denoising_albedo, pixel), normal = three(denoising_normal, pixel);
     const size_t plane = size_t(height) * width;
     float* const to = mirrored.at + size_t(y) * width + x;
-    to[0] = clamped(albedo.r, 0.0f, 1.0f);
-    to[plane] = clamped(albedo.g, 0.0f, 1.0f);
-    to[2 * plane] = clamped(albedo.b, 0.0f, 1.0f);
-    to[3 * plane] = clamped(normal.r, -1.0f, 1.0f);
-    to[4 * plane] = clamped(normal.g, -1.0f, 1.0f);
-    to[5 * plane] = clamped(normal.b, -1.0f, 1.0f);
+    put_bounded(to, albedo, 0.0f, 1.0f, plane);
+    put_bounded(to + 3 * plane, normal, -1.0f, 1.0f, plane);
 }
 
 // The nearest guide pixel at each corner of a render pixel, as the network sees these:
@@ -213,27 +169,17 @@ extern "C" __global__ void denoise_guides(View guide_diffuse_albedo, View guide_
     const size_t plane = size_t(height) * width;
     const float scale = depth_scale.at[0];
     float* to = guides.at + size_t(y) * width + x;
-#pragma unroll
-    for (int corner = 0; corner < 4; corner++, to += 11 * plane) {
+    UNROLL for (int corner = 0; corner < 4; corner++, to += 11 * plane) {
         const unsigned v = (row + 2 * (corner / 2)) * out_height / (4 * h);
         const unsigned u = (column + 2 * (corner % 2)) * out_width / (4 * w);
         const size_t pixel = size_t(v) * out_width + u;
-        const float* diffuse = guide_diffuse_albedo.at + 3 * pixel;
-        const float* specular = guide_specular_albedo.at + 3 * pixel;
-        const float* normal = guide_normal.at + 3 * pixel;
-        const float d0 = diffuse[0], d1 = diffuse[1], d2 = diffuse[2];
-        const float s0 = specular[0], s1 = specular[1], s2 = specular[2];
-        const float n0 = normal[0], n1 = normal[1], n2 = normal[2];
+        const Colour diffuse = three(guide_diffuse_albedo, pixel);
+        const Colour specular = three(guide_specular_albedo, pixel);
+        const Colour normal = three(guide_normal, pixel);
         const float rough = guide_roughness.at[pixel], z = guide_depth.at[pixel];
-        to[0] = clamped(d0, 0.0f, 2.0f);
-        to[plane] = clamped(d1, 0.0f, 2.0f);
-        to[2 * plane] = clamped(d2, 0.0f, 2.0f);
-        to[3 * plane] = clamped(s0, 0.0f, 2.0f);
-        to[4 * plane] = clamped(s1, 0.0f, 2.0f);
-        to[5 * plane] = clamped(s2, 0.0f, 2.0f);
-        to[6 * plane] = clamped(n0, -1.0f, 1.0f);
-        to[7 * plane] = clamped(n1, -1.0f, 1.0f);
-        to[8 * plane] = clamped(n2, -1.0f, 1.0f);
+        put_bounded(to, diffuse, 0.0f, 2.0f, plane);
+        put_bounded(to + 3 * plane, specular, 0.0f, 2.0f, plane);
+        put_bounded(to + 6 * plane, normal, -1.0f, 1.0f, plane);
         to[9 * plane] = clamped(rough, 0.0f, 1.0f);
         to[10 * plane] = scale / (scale + clamped(z, 0.0f, MAX_DEPTH));
     }

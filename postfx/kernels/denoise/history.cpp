@@ -1,8 +1,6 @@
 // Rows of the reprojected history.
 #include "warp.h"
 
-typedef View<const float, 3> Picture;
-
 static Status history_rows(Long first, Long last, Picture history, Picture moved,
                            Given<Params> params, Given<Window> window, Places out_rows,
                            Places out_columns, View<float, 3> warped) {

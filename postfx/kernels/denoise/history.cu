@@ -5,8 +5,8 @@
 // Bilinear between pixels that hold something, depth of the nearest.
 
 // Four channels, weighted.
-__device__ inline Four weighted_four(const View& state, const size_t (&from)[4],
-                                     const float (&share)[4], int group, float scale) {
+FN Four weighted_four(const View& state, const size_t (&from)[4], const float (&share)[4],
+                      int group, float scale) {
     Four sum = {0.0f, 0.0f, 0.0f, 0.0f};
     for (int i = 0; i < 4; i++) {
         const Four value = four(state, 3 * from[i] + group);
@@ -52,7 +52,7 @@ extern "C" __global__ void denoise_resize(View state, View last_depth, View at_r
 // (out_th,), out_columns (out_tw,) -> warped (out_th, out_tw, 3), log(1 + exposed).
 
 // Log-encoded colour, not below 0, after an exposure change; NaN stays NaN.
-__device__ inline float rescaled(float encoded, float gain) {
+FN float rescaled(float encoded, float gain) {
     const float held = encoded < 0.0f ? 0.0f : encoded;
     return gain == 1.0f ? held : log1pf(expm1f(held) * gain);
 }
@@ -82,20 +82,17 @@ extern "C" __global__ void __launch_bounds__(256, 4)
     const Before middle = before_at(first_y + down_by, first_x + right_by), own = before_at(y, x);
     const int top = middle.top - down_by - SLACK, left = middle.left - right_by - SLACK;
     const bool whole = left >= 0 && left + BEFORE_WIDE <= part.width;
-#pragma unroll
-    for (int j = 0; j < BEFORE_HIGH; j += DOWN) {
+    UNROLL for (int j = 0; j < BEFORE_HIGH; j += DOWN) {
         const int row = j + threadIdx.y;
         if (row >= BEFORE_HIGH) break;
         const float* const line = history.at
                                   + size_t(3) * clip(top + row, part.height) * part.width;
         if (whole) {
-#pragma unroll
-            for (int i = 0; i < 3 * BEFORE_WIDE; i += ACROSS)
+            UNROLL for (int i = 0; i < 3 * BEFORE_WIDE; i += ACROSS)
                 if (i + threadIdx.x < 3 * BEFORE_WIDE)
                     tile[row][i + threadIdx.x] = line[3 * left + i + threadIdx.x];
         } else {
-#pragma unroll 1
-            for (int i = threadIdx.x; i < 3 * BEFORE_WIDE; i += ACROSS)
+            AS_IT_IS for (int i = threadIdx.x; i < 3 * BEFORE_WIDE; i += ACROSS)
                 tile[row][i] = line[3 * clip(left + i / 3, part.width) + i % 3];
         }
     }
@@ -110,16 +107,14 @@ extern "C" __global__ void __launch_bounds__(256, 4)
         const Four across = cubic_weights(own.right - floorf(own.right));
         const Four down = cubic_weights(own.down - floorf(own.down));
         const float weights[4] = {down.x, down.y, down.z, down.w};
-#pragma unroll
-        for (int j = 0; j < 5; j++) {
+        UNROLL for (int j = 0; j < 5; j++) {
             const float* const from = tile[row + j] + 3 * column;
             const Colour one = row_of(from, places, across), two = row_of(from + 3, places, across);
             if (j < 4) add(found[0], one, weights[j]), add(found[1], two, weights[j]);
             if (j > 0) add(found[2], one, weights[j - 1]), add(found[3], two, weights[j - 1]);
         }
     } else {
-#pragma unroll
-        for (int k = 0; k < 4; k++) {
+        UNROLL for (int k = 0; k < 4; k++) {
             const Before one = before_at(y + k / 2, x + k % 2);
             const int j = one.top - top, i = one.left - left;
             const bool inside = j >= 0 && j + 4 <= BEFORE_HIGH && i >= 0 && i + 4 <= BEFORE_WIDE;
@@ -130,8 +125,7 @@ extern "C" __global__ void __launch_bounds__(256, 4)
         }
     }
     const float gain = params.at[GAIN];
-#pragma unroll
-    for (int k = 0; k < 2; k++) {
+    UNROLL for (int k = 0; k < 2; k++) {
         if (y + k == rows) break;
         const Colour &one = found[2 * k], &two = found[2 * k + 1];
         const float light[6] = {rescaled(one.r, gain), rescaled(one.g, gain),
@@ -178,7 +172,7 @@ extern "C" __global__ void denoise_reflections(View motion, View depth, View nor
 // which is exposure, scale and threshold -> reactive (h, w, 1).
 
 // Exposed light as a display shows it, 0 to 1.
-__device__ inline float seen(float value, float exposure) {
+FN float seen(float value, float exposure) {
     const float light = fminf(clamped(value, 0.0f, MAX_FLOAT) * exposure, MAX_COLOUR);
     return sqrtf(light / (1.0f + light));
 }
@@ -201,10 +195,8 @@ extern "C" __global__ void denoise_spread(View reactive, View next_reactive) {
     const int height = reactive.size[0], width = reactive.size[1];
     PIXEL(width, height);
     float most = 0.0f;
-#pragma unroll
-    for (int j = -1; j <= 1; j++) {
-#pragma unroll
-        for (int i = -1; i <= 1; i++)
+    UNROLL for (int j = -1; j <= 1; j++) {
+        UNROLL for (int i = -1; i <= 1; i++)
             most = fmaxf(most,
                          clamped(reactive.at[clip(y + j, height) * width + clip(x + i, width)],
                                  0.0f, 1.0f));

@@ -51,17 +51,9 @@ FN void warp_edge(const Pixels& picture, const Moved<float>& moved, Long y, Long
 
 // Two pixels beside one another with the same motion, as six numbers; two more mean nothing.
 // Sixteen numbers of a row are five pixels; the sums of columns are put together from them.
-typedef float Eight __attribute__((ext_vector_type(8)));
-typedef float Sixteen __attribute__((ext_vector_type(16)));
-
 template <int FROM> FN Eight eight_from(Sixteen x) {
     return __builtin_shufflevector(x, x, FROM, FROM + 1, FROM + 2, FROM + 3, FROM + 4, FROM + 5,
                                    FROM + 6 < 16 ? FROM + 6 : 15, FROM + 7 < 16 ? FROM + 7 : 15);
-}
-template <class Vector> FN Vector load_many(const float* at) {
-    Vector x;
-    __builtin_memcpy(&x, at, sizeof x);
-    return x;
 }
 FN bool is_inside(const Pixels& picture, Long y, Long x) {
     return y >= 0 && y + CUBIC <= picture.height && x >= 0 && x + 6 <= picture.width;
@@ -82,10 +74,10 @@ template <class F> FN typename Of<F>::Int start_of(const Pixels& picture, F top,
 FN Eight warp_two(const Pixels& picture, const Moved<float>& moved, Long start) {
     const float* from = picture.at + start;
     const Long line = 3 * picture.width;
-    const Sixteen sums = load_many<Sixteen>(from) * moved.down[0]
-                       + load_many<Sixteen>(from + line) * moved.down[1]
-                       + load_many<Sixteen>(from + 2 * line) * moved.down[2]
-                       + load_many<Sixteen>(from + 3 * line) * moved.down[3];
+    const Sixteen sums = load<Sixteen>(from) * moved.down[0]
+                       + load<Sixteen>(from + line) * moved.down[1]
+                       + load<Sixteen>(from + 2 * line) * moved.down[2]
+                       + load<Sixteen>(from + 3 * line) * moved.down[3];
     const Eight found =
         eight_from<0>(sums) * moved.across[0] + eight_from<3>(sums) * moved.across[1]
         + eight_from<6>(sums) * moved.across[2] + eight_from<9>(sums) * moved.across[3];

@@ -7,6 +7,26 @@ typedef View<const int, 4> Products;
 typedef View<const half, 4> Halves;
 typedef View<float, 4> Heads;
 
+// A channel's row of a head: logit(F(), x) gives its numbers from x on. Of the fine head, a row has
+// two of them in turn.
+template <class Logit>
+FN void open_row(Meaning meaning, Long count, float* out, const Logit& logit) {
+    with_meaning(meaning, PIXELS(auto meaning) {
+        across(0, count, EACH(F, Long x) {
+            store<F>(out + x, opened<F, meaning.is>(logit(F(), x)));
+        });
+    });
+}
+template <class Left, class Right>
+FN void open_pairs(Meaning meaning, Long count, float* out, const Left& left, const Right& right) {
+    with_meaning(meaning, PIXELS(auto meaning) {
+        across(0, count, EACH(F, Long x) {
+            const F a = left(F(), x), b = right(F(), x);
+            store_pairs<F>(out + 2 * x, opened<F, meaning.is>(a), opened<F, meaning.is>(b));
+        });
+    });
+}
+
 // In half precision, with all channels of a pixel together: two of them are one word.
 constexpr int HALVES = 2;
 
@@ -19,8 +39,7 @@ static Status pack_rows(Long first, Long last, View<const float, 4> planes, View
         for (Long k = 0; k < words; k++) {
             const Long low = HALVES * k, high = low + 1;
             int* to = turned.at + k * w;
-            across(0, w, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(0, w, EACH(F, Long x) {
                 typename Of<F>::Int word = {};
                 if (low < channels) word = to_half<F>(load<F>(planes(0, low, y) + x));
                 if (high < channels) word |= to_half<F>(load<F>(planes(0, high, y) + x)) << 16;
@@ -54,13 +73,8 @@ static Status open_rows(Long first, Long last, Halves raw, Heads heads) {
     for (Long y = first; y < last; y++) {
         turn_pixels(raw(0, y), step, step / HALVES, w, turned.at);
         for (Long channel = 0; channel < channels; channel++) {
-            float* out = heads(0, channel, y);
-            with_meaning(level_meaning(channel), PIXELS(auto meaning) {
-                across(0, w, PIXELS(auto one, Long x) {
-                    typedef decltype(one) F;
-                    store<F>(out + x,
-                             opened<F, meaning.is>(channel_of<F>(turned.at, channel, w, x)));
-                });
+            open_row(level_meaning(channel), w, heads(0, channel, y), EACH(F, Long x) {
+                return channel_of<F>(turned.at, channel, w, x);
             });
         }
     }
@@ -79,15 +93,9 @@ static Status open_fine_rows(Long first, Long last, Halves raw, Heads fine) {
         turn_pixels(from, step, words, w, left);
         turn_pixels(from + FINE, step, words, w, right);
         for (Long channel = 0; channel < FINE; channel++) {
-            float* out = fine(0, channel, y);
-            with_meaning(fine_meaning(channel), PIXELS(auto meaning) {
-                across(0, w, PIXELS(auto one, Long x) {
-                    typedef decltype(one) F;
-                    store_pairs<F>(out + 2 * x,
-                                   opened<F, meaning.is>(channel_of<F>(left, channel, w, x)),
-                                   opened<F, meaning.is>(channel_of<F>(right, channel, w, x)));
-                });
-            });
+            open_pairs(fine_meaning(channel), w, fine(0, channel, y),
+                       EACH(F, Long x) { return channel_of<F>(left, channel, w, x); },
+                       EACH(F, Long x) { return channel_of<F>(right, channel, w, x); });
         }
     }
     return DONE;
@@ -103,33 +111,25 @@ static void open_phased_rows(Long first, Long last, View<const float, 4> phased,
         for (Long y = first; y < last; y++) {
             const Long phase = 4 * channel + 2 * (y % 2);
             const float *left = phased(0, phase, y / 2), *right = phased(0, phase + 1, y / 2);
-            float* out = fine(0, channel, y);
-            with_meaning(fine_meaning(channel), PIXELS(auto meaning) {
-                across(0, phased.size[3], PIXELS(auto one, Long x) {
-                    typedef decltype(one) F;
-                    store_pairs<F>(out + 2 * x, opened<F, meaning.is>(load<F>(left + x)),
-                                   opened<F, meaning.is>(load<F>(right + x)));
-                });
-            });
+            open_pairs(fine_meaning(channel), phased.size[3], fine(0, channel, y),
+                       EACH(F, Long x) { return load<F>(left + x); },
+                       EACH(F, Long x) { return load<F>(right + x); });
         }
     }
 }
 EXPORT_ALONE(denoise_open_phased, open_phased_rows)
 
 // The expected squared error of a part's pixels; of one that is unknown, the largest.
-static void open_error_rows(Long first, Long last, View<const float, 4> log_error, Places, Places,
-                            View<float, 3> error) {
-    for (Long y = first; y < last; y++) {
-        const float* from = log_error(0, 0, y);
-        float* to = error(y);
-        across(0, error.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
-            const F log = known<F>(load<F>(from + x));
-            store<F>(to + x, exp_of<F>(within<F>(log, LEAST_LOG_ERROR, MOST_LOG_ERROR)));
-        });
-    }
+static void open_error_row(Long y, View<const float, 4> log_error, Places, Places,
+                           View<float, 3> error) {
+    const float* from = log_error(0, 0, y);
+    float* to = error(y);
+    across(0, error.size[1], EACH(F, Long x) {
+        const F log = known<F>(load<F>(from + x));
+        store<F>(to + x, exp_of<F>(within<F>(log, LEAST_LOG_ERROR, MOST_LOG_ERROR)));
+    });
 }
-EXPORT_ALONE(denoise_open_error, open_error_rows)
+EXPORT_ALONE(denoise_open_error, open_error_row)
 
 static void open_channels(Long first, Long last, const Products& products, const Scaling& scaling,
                           Long begin, const Heads& fine) {
@@ -140,15 +140,9 @@ static void open_channels(Long first, Long last, const Products& products, const
             const Scale odd = scale_of(scaling, 4 * channel + phase + 1);
             const int* left = products(0, 4 * k + phase, y / 2);
             const int* right = products(0, 4 * k + phase + 1, y / 2);
-            float* out = fine(0, k, y);
-            with_meaning(fine_meaning(channel), PIXELS(auto meaning) {
-                across(0, products.size[3], PIXELS(auto one, Long x) {
-                    typedef decltype(one) F;
-                    const F a = logit_of<F>(load_int<F>(left + x), even);
-                    const F b = logit_of<F>(load_int<F>(right + x), odd);
-                    store_pairs<F>(out + 2 * x, opened<F, meaning.is>(a), opened<F, meaning.is>(b));
-                });
-            });
+            open_pairs(fine_meaning(channel), products.size[3], fine(0, k, y),
+                       EACH(F, Long x) { return logit_of<F>(load_int<F>(left + x), even); },
+                       EACH(F, Long x) { return logit_of<F>(load_int<F>(right + x), odd); });
         }
     }
 }
@@ -173,14 +167,8 @@ static void open_products_rows(Long first, Long last, Products products, Scaling
         for (Long y = first; y < last; y++) {
             const Scale scale = scale_of(scaling, channel);
             const int* sums = products(0, channel, y);
-            float* out = heads(0, channel, y);
-            with_meaning(level_meaning(channel), PIXELS(auto meaning) {
-                across(0, heads.size[3], PIXELS(auto one, Long x) {
-                    typedef decltype(one) F;
-                    const F logit = logit_of<F>(load_int<F>(sums + x), scale);
-                    store<F>(out + x, opened<F, meaning.is>(logit));
-                });
-            });
+            open_row(level_meaning(channel), heads.size[3], heads(0, channel, y),
+                     EACH(F, Long x) { return logit_of<F>(load_int<F>(sums + x), scale); });
         }
     }
 }

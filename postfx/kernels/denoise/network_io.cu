@@ -7,8 +7,7 @@ extern "C" __global__ void __launch_bounds__(256) denoise_pack(View planes, View
     Halves* const to = halves(packed) + at * (packed.size[3] / 8);
     for (int first = 0; first < packed.size[3]; first += 8) {
         Halves some;
-#pragma unroll
-        for (int i = 0; i < 8; i++)
+        UNROLL for (int i = 0; i < 8; i++)
             some.at[i] = first + i < planes.size[1] ? to_half(from[(first + i) * plane]) : 0;
         to[first / 8] = some;
     }
@@ -22,8 +21,7 @@ extern "C" __global__ void __launch_bounds__(256) denoise_open_half(View raw, Vi
     Half* const to = reinterpret_cast<Half*>(heads.at) + at;
     for (int first = 0; first < heads.size[1]; first += 8) {
         const Halves some = from[first / 8];
-#pragma unroll
-        for (int i = 0; i < 8; i++) {
+        UNROLL for (int i = 0; i < 8; i++) {
             const int channel = first + i;
             const float logit = from_half(some.at[i]);
             if (channel < heads.size[1])
@@ -33,7 +31,7 @@ extern "C" __global__ void __launch_bounds__(256) denoise_open_half(View raw, Vi
 }
 
 // The activation of a channel of the fine head.
-__device__ inline float fine_of(int channel, float logit) {
+FN float fine_of(int channel, float logit) {
     if (channel < BLEND) return weight_of(logit);
     return channel < MEMORY ? gate_of(logit) : tanhf(logit);
 }
@@ -46,11 +44,9 @@ extern "C" __global__ void __launch_bounds__(256) denoise_open_fine_half(View ra
     const size_t pixel = size_t(y / 2) * raw.size[2] + x / 2;
     const Halves* const from = halves(raw) + (4 * pixel + 2 * (y % 2) + x % 2) * (FINE / 8);
     Half* const to = reinterpret_cast<Half*>(fine.at) + size_t(y) * fine.size[3] + x;
-#pragma unroll
-    for (int first = 0; first < FINE; first += 8) {
+    UNROLL for (int first = 0; first < FINE; first += 8) {
         const Halves some = from[first / 8];
-#pragma unroll
-        for (int i = 0; i < 8; i++) {
+        UNROLL for (int i = 0; i < 8; i++) {
             const int channel = first + i;
             const float logit = from_half(some.at[i]);
             to[channel * plane] = to_half(fine_of(channel, logit));

@@ -3,9 +3,6 @@
 #include "output.h"
 #include "../rows.h"
 
-typedef View<const float, 3> Picture;
-typedef View<float, 3> NewPicture;
-
 constexpr int TILE = 16;
 constexpr int LAGS = 8;
 constexpr int NEAR = 6;  // the first lags, which a pixel filter reaches
@@ -35,8 +32,7 @@ FN void fill_removed(const Picture& colour, const Picture& denoised, Long top, f
                      const Removed& removed, float* out) {
     for (Long y = 0; y < removed.rows; y++) {
         const float *noisy = colour(top + y), *clean = denoised(top + y);
-        across(0, removed.width, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, removed.width, EACH(F, Long x) {
             const auto luminance = PIXELS(const float* row) {
                 const float* from = row + 3 * x;
                 return luminance_of<F>(pick<F, 3>(from), pick<F, 3>(from + 1), pick<F, 3>(from + 2),
@@ -54,8 +50,7 @@ FN void multiply_rows(const Removed& removed, Lag lag, float* total) {
     const Long last = larger<Long>(removed.width - (lag.right > 0 ? lag.right : 0), first);
     for (Long x = 0; x < first; x++) total[x] = 0.0f;
     for (Long x = last; x < removed.width; x++) total[x] = 0.0f;
-    across(first, last, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(first, last, EACH(F, Long x) {
         F sum = F(0.0f);
         for (Long y = 0; y < removed.rows - lag.down; y++) {
             const float* own = removed.at + y * removed.width + x;
@@ -230,9 +225,8 @@ struct Shares {
 
     // make(F(), x) gives those from x on.
     template <class Make> FN_MEMBER void fill(const Make& make) const {
-        across(0, width, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
-            const F share = make(one, x);
+        across(0, width, EACH(F, Long x) {
+            const F share = make(F(), x);
             if (channels == 1) {
                 store<F>(room.at + x, share);
             } else if (channels == 3) {
@@ -251,8 +245,7 @@ struct Shares {
     // A row from one picture to another, whose light is held within what a picture may have.
     template <bool HELD> FN_MEMBER void blend(const float* from, const float* to,
                                               float* out) const {
-        across(0, width * channels, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
+        across(0, width * channels, EACH(F, Long i) {
             const F end = load<F>(to + i), held = HELD ? within<F>(end, 0.0f, MAX_FLOAT) : end;
             store<F>(out + i, blended_by<F>(load<F>(from + i), held, load<F>(room.at + i)));
         });
@@ -286,8 +279,7 @@ static Status restore_rows(Long first, Long last, Picture colour, Picture denois
     for (Long y = first; y < last; y++) {
         const Tiles at = tiles_at(y, detail.size[0]);
         const float *upper = detail(at.before), *lower = detail(at.after);
-        shares.fill(PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        shares.fill(EACH(F, Long x) {
             const F by = load<F>(across_by.at + x);
             const auto between = PIXELS(const float* row) {
                 const F left = gather<F>(row, before.at + x);
@@ -310,8 +302,7 @@ static Status strength_rows(Long first, Long last, Picture denoised, Picture pla
     if (!shares) return NO_MEMORY;
     for (Long y = first; y < last; y++) {
         const float* from = strength(y);
-        shares.fill(PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        shares.fill(EACH(F, Long x) {
             return within<F>(load<F>(from + x), 0.0f, 1.0f) * factor;
         });
         shares.blend<false>(plain(y), denoised(y), output(y));
@@ -329,30 +320,26 @@ struct TilePlace {
     float y, x;
     Area areas[2];
 };
-static void assemble_rows(Long first, Long last, View<const float, 4> tiles,
-                          View<const float, 2> places, Places frame_rows, Places frame_columns,
-                          NewPicture picture) {
+static void assemble_row(Long row, View<const float, 4> tiles, View<const float, 2> places,
+                         Places frame_rows, Places frame_columns, NewPicture picture) {
     const Long columns = frame_columns.size[0], left = Long(frame_columns.at[0]),
                channels = tiles.size[3];
-    for (Long row = first; row < last; row++) {
-        const Long y = Long(frame_rows.at[row]);
-        float* out = picture(row);
-        for (Long i = 0; i < columns * channels; i++) out[i] = 0.0f;
-        for (int kind = 0; kind < 2; kind++) {
-            for (Long tile = tiles.size[0] - 1; tile >= 0; tile--) {
-                const TilePlace& place = *(const TilePlace*)places(tile);
-                const Area& area = place.areas[kind];
-                const Long from = larger<Long>(Long(area.left), left);
-                const Long to = smaller<Long>(Long(area.right), left + columns);
-                if (float(y) < area.top || float(y) >= area.bottom || from >= to) continue;
-                const float* source = tiles(tile, y - Long(place.y), from - Long(place.x));
-                float* target = out + (from - left) * channels;
-                across(0, (to - from) * channels, PIXELS(auto one, Long i) {
-                    typedef decltype(one) F;
-                    store<F>(target + i, load<F>(source + i));
-                });
-            }
+    const Long y = Long(frame_rows.at[row]);
+    float* out = picture(row);
+    for (Long i = 0; i < columns * channels; i++) out[i] = 0.0f;
+    for (int kind = 0; kind < 2; kind++) {
+        for (Long tile = tiles.size[0] - 1; tile >= 0; tile--) {
+            const TilePlace& place = *(const TilePlace*)places(tile);
+            const Area& area = place.areas[kind];
+            const Long from = larger<Long>(Long(area.left), left);
+            const Long to = smaller<Long>(Long(area.right), left + columns);
+            if (float(y) < area.top || float(y) >= area.bottom || from >= to) continue;
+            const float* source = tiles(tile, y - Long(place.y), from - Long(place.x));
+            float* target = out + (from - left) * channels;
+            across(0, (to - from) * channels, EACH(F, Long i) {
+                store<F>(target + i, load<F>(source + i));
+            });
         }
     }
 }
-EXPORT(denoise_assemble, assemble_rows)
+EXPORT(denoise_assemble, assemble_row)

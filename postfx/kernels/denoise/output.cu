@@ -8,34 +8,30 @@ const int GROUP = 8, LAGS = SUMS - FIRST;
 const int PITCH = TILE + 1;  // rows begin in different banks
 
 // What was removed at a pixel, as it is seen.
-__device__ inline float removed_at(const float* noisy, const float* denoised, float exposure) {
+FN float removed_at(const float* noisy, const float* denoised, float exposure) {
     return seen_difference<float>(luminance_of<float>(noisy[0], noisy[1], noisy[2], exposure),
                                   luminance_of<float>(denoised[0], denoised[1], denoised[2],
                                                       exposure));
 }
 
-__device__ inline float held_within(float value, float limit) {
-    return fminf(fmaxf(value, -limit), limit);
-}
+FN float held_within(float value, float limit) { return fminf(fmaxf(value, -limit), limit); }
 
 // Sum over a row of products of `own` and the pixels `shift` right of each in another row; both
 // ends lie in the tile.
 template <int SHIFT>
-__device__ inline float across(const float own[TILE], const float other[TILE]) {
+FN float across(const float own[TILE], const float other[TILE]) {
     float sum = 0.0f;
-#pragma unroll
-    for (int i = SHIFT < 0 ? -SHIFT : 0; i < (SHIFT < 0 ? TILE : TILE - SHIFT); i++)
+    UNROLL for (int i = SHIFT < 0 ? -SHIFT : 0; i < (SHIFT < 0 ? TILE : TILE - SHIFT); i++)
         sum += own[i] * other[i + SHIFT];
     return sum * (float(TILE) / (TILE - (SHIFT < 0 ? -SHIFT : SHIFT)));  // per whole row of pairs
 }
 
-__device__ inline void load_row(const float* row, float limit, float values[TILE]) {
-#pragma unroll
-    for (int i = 0; i < TILE; i++) values[i] = held_within(row[i], limit);
+FN void load_row(const float* row, float limit, float values[TILE]) {
+    UNROLL for (int i = 0; i < TILE; i++) values[i] = held_within(row[i], limit);
 }
 
 // What a row of a tile adds to each sum from the third one on; rows beyond the tile do not count.
-__device__ inline void sum_row(const float* row, int y, float limit, float sums[1 + LAGS]) {
+FN void sum_row(const float* row, int y, float limit, float sums[1 + LAGS]) {
     float own[TILE], other[TILE];
     load_row(row, limit, own);
     sums[0] = across<0>(own, own);
@@ -60,10 +56,9 @@ __device__ inline void sum_row(const float* row, int y, float limit, float sums[
     }
 }
 
-__device__ inline float sum_of_rows(const float* rows) {
+FN float sum_of_rows(const float* rows) {
     float sum = 0.0f;
-#pragma unroll
-    for (int i = 0; i < TILE; i++) sum += rows[i];
+    UNROLL for (int i = 0; i < TILE; i++) sum += rows[i];
     return sum;
 }
 
@@ -90,8 +85,7 @@ extern "C" __global__ void denoise_judge(View colour, View denoised, View params
         for (int i = thread; i < GROUP * TILE; i += threads) {
             const float* const row = removed[i / TILE] + i % TILE * PITCH;
             float sum = 0.0f;
-#pragma unroll
-            for (int k = 0; k < TILE; k++) sum += row[k] * row[k];
+            UNROLL for (int k = 0; k < TILE; k++) sum += row[k] * row[k];
             power[i / TILE][i % TILE] = sum;
         }
         __syncthreads();
@@ -103,8 +97,7 @@ extern "C" __global__ void denoise_judge(View colour, View denoised, View params
             float found[1 + LAGS];
             // fireflies are held there
             sum_row(removed[tile] + row * PITCH, row, LIMIT * sqrtf(all / count), found);
-#pragma unroll
-            for (int k = 0; k <= LAGS; k++) rows[tile][k][row] = found[k];
+            UNROLL for (int k = 0; k <= LAGS; k++) rows[tile][k][row] = found[k];
             if (row > 0) continue;
             float* const result = sums.at + (tile_y * tiles_wide + tile_x + tile) * SUMS;
             result[COUNT] = judged.at[tile_y * tiles_wide + tile_x + tile] > 0.0f ? count : 0.0f;
@@ -133,13 +126,12 @@ struct Tile {
     float power, noise, correlation[LAGS];
 };
 
-__device__ inline float ramp(float value, float low, float high) {
+FN float ramp(float value, float low, float high) {
     return fminf(fmaxf((value - low) / (high - low), 0.0f), 1.0f);
 }
 
 // Reads an area of tiles and its border; those beyond the frame are zeros and so do not count.
-__device__ inline void read_area(const View& sums, int top, int left, float* area, int thread,
-                                 int threads) {
+FN void read_area(const View& sums, int top, int left, float* area, int thread, int threads) {
     __syncthreads();
     for (int i = thread; i < (HIGH + 2) * AREA_PITCH; i += threads) {
         const int y = top + i / AREA_PITCH - 1, column = (left - 1) * SUMS + i % AREA_PITCH,
@@ -152,10 +144,9 @@ __device__ inline void read_area(const View& sums, int top, int left, float* are
 
 // Power, noise of the structure and correlations around a tile; neighbours count by 1 2 1 both
 // ways.
-__device__ inline Tile gather(const float* tile) {
+FN Tile gather(const float* tile) {
     float spread[SUMS];
-#pragma unroll
-    for (int k = 0; k < SUMS; k++) {
+    UNROLL for (int k = 0; k < SUMS; k++) {
         const float* const at = tile + k;
         spread[k] = 4.0f * at[0] + 2.0f * (at[-SUMS] + at[SUMS] + at[-AREA_PITCH] + at[AREA_PITCH])
                     + (at[-AREA_PITCH - SUMS] + at[-AREA_PITCH + SUMS] + at[AREA_PITCH - SUMS]
@@ -164,16 +155,14 @@ __device__ inline Tile gather(const float* tile) {
     const float count = fmaxf(spread[COUNT], 1.0f);  // 0 if nothing around is judged
     Tile found = {spread[POWER] / count, SPREAD_NOISE * LAGS / count, {}};
     const float scale = 1.0f / (spread[HELD_POWER] + TINY_POWER);
-#pragma unroll
-    for (int k = 0; k < LAGS; k++) found.correlation[k] = spread[FIRST + k] * scale;
+    UNROLL for (int k = 0; k < LAGS; k++) found.correlation[k] = spread[FIRST + k] * scale;
     return found;
 }
 
 // Share of detail in what was removed around a tile.
-__device__ inline float detail_of(const Tile& tile, const float common[NEAR]) {
+FN float detail_of(const Tile& tile, const float common[NEAR]) {
     float structure = -tile.noise;
-#pragma unroll
-    for (int k = 0; k < LAGS; k++) {
+    UNROLL for (int k = 0; k < LAGS; k++) {
         const float own = tile.correlation[k] - (k < NEAR ? common[k] : 0.0f);
         structure += own * own;
     }
@@ -183,7 +172,7 @@ __device__ inline float detail_of(const Tile& tile, const float common[NEAR]) {
 }
 
 // Sum over all threads of the block, in a fixed order.
-__device__ inline float block_sum(float value, float* partial, int thread, int threads) {
+FN float block_sum(float value, float* partial, int thread, int threads) {
     __syncthreads();
     partial[thread] = value;
     __syncthreads();
@@ -213,21 +202,22 @@ extern "C" __global__ void __launch_bounds__(MOST_THREADS)
                 totals[0] += tile[1];
                 totals[1] += tile[0];
                 totals[2] += weight;
-#pragma unroll
-                for (int k = 0; k < NEAR; k++) totals[3 + k] += weight * found.correlation[k];
+                UNROLL for (int k = 0; k < NEAR; k++) {
+                    totals[3 + k] += weight * found.correlation[k];
+                }
             }
         }
     }
-#pragma unroll
-    for (int k = 0; k < TOTALS; k++) totals[k] = block_sum(totals[k], partial, thread, threads);
+    UNROLL for (int k = 0; k < TOTALS; k++) {
+        totals[k] = block_sum(totals[k], partial, thread, threads);
+    }
     const float power = totals[0] / fmaxf(totals[1], 1.0f), total = totals[2] + TINY_POWER,
                 loud = logf(power + TINY_POWER);
     const float filtered = ramp(loud, logf(FILTERED_LOW), logf(FILTERED_HIGH));
     const float quiet = ramp(-loud, -logf(LOUD_HIGH), -logf(LOUD_LOW))
                         * fminf(evidence.at[0], 1.0f);
     float common[NEAR], share = 0.0f;
-#pragma unroll
-    for (int k = 0; k < NEAR; k++) common[k] = filtered * fmaxf(totals[3 + k] / total, 0.0f);
+    UNROLL for (int k = 0; k < NEAR; k++) common[k] = filtered * fmaxf(totals[3 + k] / total, 0.0f);
     for (int top = 0; top < height; top += HIGH) {
         for (int left = 0; left < width; left += WIDE) {
             read_area(sums, top, left, area, thread, threads);
@@ -251,29 +241,12 @@ extern "C" __global__ void __launch_bounds__(MOST_THREADS)
 
 // Gives detail back: colour, denoised (h, w, 3), detail (tiles_high, tiles_wide, 1) -> output (h,
 // w, 3).
-
-struct Between {
-    int first, second;
-    float share;
-};
-
-// The tile before a pixel, the one after it, and how far the pixel lies between their centres.
-__device__ inline Between tiles_at(int position, int count) {
-    const float at = fminf(fmaxf((position + 0.5f) * (1.0f / TILE) - 0.5f, 0.0f), float(count - 1));
-    const int first = int(at);
-    return {first, min(first + 1, count - 1), at - first};
-}
-
 extern "C" __global__ void denoise_restore(View colour, View denoised, View detail, View output) {
     const int width = output.size[1];
     PIXEL(width, output.size[0]);
-    const Between row = tiles_at(y, detail.size[0]), column = tiles_at(x, detail.size[1]);
-    const float* const top = detail.at + row.first * detail.size[1];
-    const float* const bottom = detail.at + row.second * detail.size[1];
-    const float upper = top[column.first] + (top[column.second] - top[column.first]) * column.share;
-    const float lower = bottom[column.first]
-                        + (bottom[column.second] - bottom[column.first]) * column.share;
-    const float share = upper + (lower - upper) * row.share;
+    const Between row = between_cells((y + 0.5f) * (1.0f / TILE) - 0.5f, detail.size[0]);
+    const Between column = between_cells((x + 0.5f) * (1.0f / TILE) - 0.5f, detail.size[1]);
+    const float share = between(detail, row, column);
     const int channels = output.size[2], here = channels * (y * width + x);
     for (int c = 0; c < channels; c++) {
         const float noisy = clamped(colour.at[here + c], 0.0f, MAX_FLOAT);
@@ -284,7 +257,7 @@ extern "C" __global__ void denoise_restore(View colour, View denoised, View deta
 // A picture from what was computed in parts of it: tiles (n, th, tw, c), places (n, 10): origin,
 // what may be used, what is used before others; frame_rows (rows,), frame_columns (columns,) ->
 // picture (rows, columns, c), 0 where no tile is.
-__device__ inline bool is_within(const float* box, int y, int x) {
+FN bool is_within(const float* box, int y, int x) {
     return y >= box[0] && x >= box[1] && y < box[2] && x < box[3];
 }
 

@@ -6,29 +6,26 @@
 
 // Reflectance of a part that has another one than the picture. Columns beyond the frame repeat its
 // last one.
-static void reflectance_rows(Long first, Long last, Picture diffuse, Picture specular, Places rows,
-                             Places columns, NewPicture factor) {
+static void reflectance_row(Long y, Picture diffuse, Picture specular, Places rows, Places columns,
+                            NewPicture factor) {
     const Long w = columns.size[0], left = Long(columns.at[0]);
     const Long held = Long(columns.at[w - 1]) - left + 1;
-    for (Long y = first; y < last; y++) {
-        const Long row = Long(rows.at[y]);
-        const float *some = diffuse(row, left), *others = specular(row, left);
-        float* out = factor(y);
-        across(0, held, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
-            const Tint<F> found = tint_at<F>(some, others, x);
-            store_triples<F>(out + 3 * x, found.red, found.green, found.blue);
-        });
-        for (Long i = 3 * held; i < 3 * w; i++) out[i] = out[i - 3];
-    }
+    const Long row = Long(rows.at[y]);
+    const float *some = diffuse(row, left), *others = specular(row, left);
+    float* out = factor(y);
+    across(0, held, EACH(F, Long x) {
+        const Tint<F> found = tint_at<F>(some, others, x);
+        store_triples<F>(out + 3 * x, found.red, found.green, found.blue);
+    });
+    for (Long i = 3 * held; i < 3 * w; i++) out[i] = out[i - 3];
 }
-EXPORT_ALONE(denoise_reflectance, reflectance_rows)
+EXPORT_ALONE(denoise_reflectance, reflectance_row)
 
 // Running mean.
 
 // Four numbers from a pixel on; of the last pixel there are three.
 FN Four load_pixel(const float* at, const float* end) {
-    if (at + 4 <= end) return load_many<Four>(at);
+    if (at + 4 <= end) return load<Four>(at);
     return Four{at[0], at[1], at[2], 0.0f};
 }
 
@@ -40,8 +37,7 @@ struct Recalled {
     int* start;
 
     FN_MEMBER void find(const float* moved, Long v, Long left, Long count) const {
-        across(0, count, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, count, EACH(F, Long x) {
             const F px = within<F>(ramp<F>(float(left + x), 1.0f) + pick<F, 2>(moved + 2 * x), 0.0f,
                                    float(width - 1));
             const F py = within<F>(float(v) + pick<F, 2>(moved + 2 * x + 1), 0.0f,
@@ -89,13 +85,12 @@ static Status accumulate_rows(Long first, Long last, Picture part, Given<Coding>
         const float* counts = past(y) + 3;
         for (Long x = 0; x < held; x++) {
             const Four found = counts[4 * x] > 0.0f ? recalled.sample(x) : Four{};
-            __builtin_memcpy(before + 3 * x, &found, sizeof found);
+            store(before + 3 * x, found);
         }
         const float *values = part(top + y, left), *divisor = factor(y),
                     *distrust = fine(0, DISTRUST, y);
         float *mean = next_part(y), *const planes[3] = {level(0, y), level(1, y), level(2, y)};
-        across(0, held, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, held, EACH(F, Long x) {
             const F share = newer_share<F>(pick<F, 4>(past(y) + 4 * x + 3), load<F>(distrust + x));
             F found[3];
             for (int c = 0; c < 3; c++) {
@@ -121,12 +116,11 @@ struct LightRows {
     FN_MEMBER float* row(Long channel) const { return at + channel * width; }
 };
 
-FN void light_at_corners(const Row& row, const Weights (&weights)[2], int lower, const Rooms& rooms,
+FN void light_at_corners(const Row& row, const Sides& sides, int lower, const Rooms& rooms,
                          const LightRows& light) {
-    across(0, rooms.columns, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
-        const AtCorner left = {row, weights[0], x, 2 * lower, 0};
-        const AtCorner right = {row, weights[1], x, 2 * lower + 1, 1};
+    across(0, rooms.columns, EACH(F, Long x) {
+        const AtCorner left = {row, sides.left, x, 2 * lower, 0};
+        const AtCorner right = {row, sides.right, x, 2 * lower + 1, 1};
         const LightWeights<F> even = light_weights<F>(left), odd = light_weights<F>(right);
         for (Long c = 0; c < 3 * light.parts; c++) {
             store_pairs<F>(light.row(c) + 2 * x, light_sample<F>(row, left, even, c),
@@ -176,23 +170,18 @@ static Status light_rows(Long first, Long last, Picture radiance, FineHead fine,
         const Distances down = distances_of(params->jitter_y - at.offset);
         const Row row = row_of_samples(given, rooms, head_of(fine, at.index), y, at.index);
         if (doubles) {
-            const Weights sides[2] = {
-                weights_of(down, distances_of(params->jitter_x + 0.25f)),
-                weights_of(down, distances_of(params->jitter_x - 0.25f)),
-            };
-            light_at_corners(row, sides, int(y % 2), rooms, enlarged);
+            light_at_corners(row, sides_of(down, *params), int(y % 2), rooms, enlarged);
         } else if (same) {
             const Weights weights = weights_of(down, distances_of(params->jitter_x));
-            across(0, width, PIXELS(auto one, Long x) {
-                light_at<decltype(one)>(row, AtCentre{row, weights, x}, rooms, enlarged);
+            across(0, width, EACH(F, Long x) {
+                light_at<F>(row, AtCentre{row, weights, x}, rooms, enlarged);
             });
         } else {
             const Columns columns = {rooms.index.at, rooms.lean(), rooms.near(), rooms.wide(),
                                      width};
             const float lower = lean_of(at.offset);
-            across(0, width, PIXELS(auto one, Long x) {
-                light_at<decltype(one)>(row, Anywhere{row, columns, down, lower, x}, rooms,
-                                        enlarged);
+            across(0, width, EACH(F, Long x) {
+                light_at<F>(row, Anywhere{row, columns, down, lower, x}, rooms, enlarged);
             });
         }
         // Rows that keep nothing, or where nothing moves, need no reprojection.
@@ -208,8 +197,7 @@ static Status light_rows(Long first, Long last, Picture radiance, FineHead fine,
             if (keeps && moves) warper.warp(before(k), y, own);
             const float* last_light = keeps && !moves ? before(k, y, left) : own;
             float* out = light(k, n);
-            across(0, width, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(0, width, EACH(F, Long x) {
                 const F trust = load<F>(rooms.trust() + x);
                 F found[3];
                 for (int c = 0; c < 3; c++) {
@@ -245,8 +233,7 @@ template <bool COVERED, bool COMPLETE>
 FN void balance_row(const View<const float, 4>& parts, const float* covers, const float* whole,
                     const float* picture, Long y, const View<float, 4>& balanced) {
     const Long count = parts.size[0], width = 3 * parts.size[2];
-    across(0, width, PIXELS(auto one, Long i) {
-        typedef decltype(one) F;
+    across(0, width, EACH(F, Long i) {
         const auto light = PIXELS(Long k) {
             const F found = load<F>(parts(k, y) + i);
             return COVERED ? found * load<F>(covers + k * width + i) : found;
@@ -269,8 +256,7 @@ FN void keep_row(const View<const float, 4>& parts, const float* covers, Long y,
                  const View<float, 4>& balanced) {
     const Long width = 3 * parts.size[2];
     for (Long k = 0; k < parts.size[0]; k++) {
-        across(0, width, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
+        across(0, width, EACH(F, Long i) {
             const F found = load<F>(parts(k, y) + i);
             store<F>(balanced(k, y) + i, COVERED ? found * load<F>(covers + k * width + i) : found);
         });
@@ -288,13 +274,12 @@ static Status balance_rows(Long first, Long last, View<const float, 4> parts, Pi
     for (Long y = first; y < last; y++) {
         const float *all = whole(y), *target = picture(y);
         if (covered) fill_covers(reached, y, height, width, covers.at);
-        if (covered && beyond) keep_row<true>(parts, covers.at, y, balanced);
-        else if (beyond) keep_row<false>(parts, covers.at, y, balanced);
-        else if (covered && alone)
-            balance_row<true, true>(parts, covers.at, all, target, y, balanced);
-        else if (covered) balance_row<true, false>(parts, covers.at, all, target, y, balanced);
-        else if (alone) balance_row<false, true>(parts, covers.at, all, target, y, balanced);
-        else balance_row<false, false>(parts, covers.at, all, target, y, balanced);
+        with_flag(covered, PIXELS(auto is_covered) {
+            if (beyond) return keep_row<is_covered()>(parts, covers.at, y, balanced);
+            with_flag(alone, PIXELS(auto is_alone) {
+                balance_row<is_covered(), is_alone()>(parts, covers.at, all, target, y, balanced);
+            });
+        });
     }
     return DONE;
 }
@@ -302,43 +287,29 @@ EXPORT_ALONE(denoise_balance, balance_rows)
 
 // Values of a plane from filtered ones. Planes of one channel were filtered as three.
 template <int CHANNELS>
-FN void decode_rows(Long first, Long last, const Picture& filtered, const Decoding& by,
-                    const NewPicture& plane) {
-    for (Long y = first; y < last; y++) {
-        const float* from = filtered(y);
-        float* out = plane(y);
-        across(0, plane.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
-            F found[3];
-            if (by.kind < 0.0f) {
-                found[0] = distance_of<F>(pick<F, 3>(from + 3 * x), pick<F, 3>(from + 3 * x + 1),
-                                          by);
-                found[1] = found[2] = found[0];
-            } else {
-                for (int c = 0; c < CHANNELS; c++)
-                    found[c] = decoded<F>(pick<F, 3>(from + 3 * x + c), by);
+static void decode_row(Long y, Picture filtered, Given<Decoding> decoding, NewPicture plane) {
+    const Decoding& by = *decoding;
+    const float* from = filtered(y);
+    float* out = plane(y);
+    across(0, plane.size[1], EACH(F, Long x) {
+        F found[3];
+        if (by.kind < 0.0f) {
+            found[0] = distance_of<F>(pick<F, 3>(from + 3 * x), pick<F, 3>(from + 3 * x + 1), by);
+            found[1] = found[2] = found[0];
+        } else {
+            for (int c = 0; c < CHANNELS; c++) {
+                found[c] = decoded<F>(pick<F, 3>(from + 3 * x + c), by);
             }
-            if (by.kind > 0.0f) {
-                F square = F(0.0f);
-                for (int c = 0; c < CHANNELS; c++) square += found[c] * found[c];
-                const F scale = scale_to_one<F>(square);
-                for (int c = 0; c < CHANNELS; c++) found[c] *= scale;
-            }
-            if constexpr (CHANNELS == 3)
-                store_triples<F>(out + 3 * x, found[0], found[1], found[2]);
-            else store<F>(out + x, found[0]);
-        });
-    }
+        }
+        if (by.kind > 0.0f) {
+            F square = F(0.0f);
+            for (int c = 0; c < CHANNELS; c++) square += found[c] * found[c];
+            const F scale = scale_to_one<F>(square);
+            for (int c = 0; c < CHANNELS; c++) found[c] *= scale;
+        }
+        if constexpr (CHANNELS == 3) store_triples<F>(out + 3 * x, found[0], found[1], found[2]);
+        else store<F>(out + x, found[0]);
+    });
 }
-
-static void decode_three(Long first, Long last, Picture filtered, Given<Decoding> by,
-                         NewPicture plane) {
-    decode_rows<3>(first, last, filtered, *by, plane);
-}
-EXPORT_ALONE(denoise_decode, decode_three)
-
-static void decode_one(Long first, Long last, Picture filtered, Given<Decoding> by,
-                       NewPicture plane) {
-    decode_rows<1>(first, last, filtered, *by, plane);
-}
-EXPORT_ALONE(denoise_decode_one, decode_one)
+EXPORT_ALONE(denoise_decode, decode_row<3>)
+EXPORT_ALONE(denoise_decode_one, decode_row<1>)

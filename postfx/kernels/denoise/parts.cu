@@ -9,25 +9,22 @@ extern "C" __global__ void denoise_reflectance(View diffuse_albedo, View specula
     const Colour found = demodulation(diffuse_albedo, specular_albedo, int(part_rows.at[y]),
                                       int(part_columns.at[x]));
     float* const to = factor.at + 3 * (size_t(y) * width + x);
-    to[0] = found.r;
-    to[1] = found.g;
-    to[2] = found.b;
+    put(to, found);
 }
 
 // Running mean of a part of the picture by the picture's weights: part (h, w, 3), coding (3,),
 // factor (th, tw, 3), past (th, tw, 4), moved (th, tw, 2), last_part (h, w, 3), fine (1, 80, hp,
 // wp), window (8,) -> next_part (th, tw, 3), part_level (3, hp, wp).
-__device__ inline float recalled(const float* last, const size_t (&from)[4], int c, float tx,
-                                 float ty) {
+FN float recalled(const float* last, const size_t (&from)[4], int c, float tx, float ty) {
     const float top = last[from[0] + c] + (last[from[1] + c] - last[from[0] + c]) * tx;
     const float bottom = last[from[2] + c] + (last[from[3] + c] - last[from[2] + c]) * tx;
     return top + (bottom - top) * ty;
 }
 
 template <class Number>
-__device__ inline void accumulate_part(View part, View coding, View factor, View past, View moved,
-                                       View last_part, View fine, View window, View next_part,
-                                       View part_level) {
+__global__ void denoise_accumulate_part(View part, View coding, View factor, View past, View moved,
+                                        View last_part, View fine, View window, View next_part,
+                                        View part_level) {
     const int height = part_level.size[1], width = part_level.size[2];
     PIXEL(width, height);
     const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
@@ -64,21 +61,6 @@ __device__ inline void accumulate_part(View part, View coding, View factor, View
     }
 }
 
-extern "C" __global__ void denoise_accumulate_part(View part, View coding, View factor, View past,
-                                                   View moved, View last_part, View fine,
-                                                   View window, View next_part, View part_level) {
-    accumulate_part<float>(part, coding, factor, past, moved, last_part, fine, window, next_part,
-                           part_level);
-}
-
-extern "C" __global__ void denoise_accumulate_part_half(View part, View coding, View factor,
-                                                        View past, View moved, View last_part,
-                                                        View fine, View window, View next_part,
-                                                        View part_level) {
-    accumulate_part<Half>(part, coding, factor, past, moved, last_part, fine, window, next_part,
-                          part_level);
-}
-
 // Parts as parts of the picture: parts (n, H, W, 3), reached (n, h, w) or (n, 1, 1), whole and
 // picture (H, W, 3), complete (1,) -> balanced (n, H, W, 3).
 extern "C" __global__ void denoise_balance(View parts, View reached, View whole, View picture,
@@ -107,8 +89,7 @@ extern "C" __global__ void denoise_balance(View parts, View reached, View whole,
 // A plane from what was filtered: filtered (H, W, 3), decoding (5,): factor, shift, bounds, kind:
 // vectors that get length 1 above 0, distances below 0, by their reciprocal and coverage -> plane
 // (H, W, c).
-__device__ inline void decode(const View& filtered, const View& decoding, const View& plane, int y,
-                              int x) {
+FN void decode(const View& filtered, const View& decoding, const View& plane, int y, int x) {
     const int channels = plane.size[2];
     const size_t pixel = size_t(y) * plane.size[1] + x;
     const Decoding& by = *reinterpret_cast<const Decoding*>(decoding.at);

@@ -3,9 +3,6 @@
 #include "tints.h"
 #include "window.h"
 
-typedef View<const float, 3> Picture;
-typedef View<float, 3> NewPicture;
-
 // Harmonic mean depth of all hits, 1 without any. Sixteen sums are kept at every level, so that all
 // give the same bits.
 constexpr int SUMS = 16;
@@ -61,8 +58,7 @@ static Status dilate_rows(Long first, Long last, Picture motion, Picture depth, 
                 to[x] = inside ? depth.at[(y + j - 1) * w + left + x - 1] : __builtin_inff();
             }
         }
-        across(0, count, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, count, EACH(F, Long x) {
             typedef typename Of<F>::Int I;
             F near = load<F>(lines.at + line + 1 + x) * CLEARLY;
             I at = I(0);
@@ -77,8 +73,7 @@ static Status dilate_rows(Long first, Long last, Picture motion, Picture depth, 
         float* out = moved(row);
         for (Long x = 0; x < count; x++)
             __builtin_memcpy(out + 2 * x, from + 2 * (x + found.at[x]), 2 * sizeof(float));
-        across_once(0, 2 * count, PIXELS(auto one, Long i) {
-            typedef decltype(one) F;
+        across_once(0, 2 * count, EACH(F, Long i) {
             store<F>(out + i, possible_motion<F>(load<F>(out + i)));
         });
         for (Long i = 2 * count; i < 2 * width; i++) out[i] = out[i - 2];
@@ -105,8 +100,7 @@ static Status mean_rows(Long first, Long last, Picture diffuse, Picture specular
         for (Long i = 0; i < 3 * (end - begin); i++) room.at[i] = 0.0f;
         for (Long y = upper; y < lower; y++) {
             const float *some = diffuse(y, begin), *others = specular(y, begin);
-            across_once(0, end - begin, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across_once(0, end - begin, EACH(F, Long x) {
                 const Tint<F> found = tint_at<F>(some, others, x);
                 store<F>(sums[0] + x, load<F>(sums[0] + x) + found.red);
                 store<F>(sums[1] + x, load<F>(sums[1] + x) + found.green);
@@ -215,8 +209,7 @@ static Status accumulate_rows(Long first, Long last, Picture colour, Picture dif
         const float* z = depth(v, left);
         float *kept = state(y), *by = factor(y), *far = next_depth(y);
         const auto head = [&](int channel) { return fine(0, channel - skipped, y); };
-        across(0, held, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, held, EACH(F, Long x) {
             const Tint<F> tint = tint_at<F>(some, others, x);
             F reflectance[3] = {tint.red, tint.green, tint.blue};
             if (doubts) {
@@ -239,10 +232,7 @@ static Status accumulate_rows(Long first, Long last, Picture colour, Picture dif
             for (int c = 0; c < 3; c++) store<F>(level(c, y) + x, found.level[c]);
             store<F>(level(3, y) + x, found.importance);
             store<F>(far + x, load<F>(z + x));
-            UNROLL for (int i = 0; i < STATE; i += 4) {
-                spread_four<STATE>(kept + STATE * x + i, found.state[i], found.state[i + 1],
-                                   found.state[i + 2], found.state[i + 3]);
-            }
+            store_state<F>(kept + STATE * x, found.state);
         });
         if ((y == 0 && top > 0) || (y == th - 1 && under)) {
             clear(state(y), 0, STATE * tw);

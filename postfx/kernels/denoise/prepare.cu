@@ -1,13 +1,11 @@
 #include "prepare.h"
 
 // Harmonic mean depth of what was hit, 1 where nothing was: depth (h, w, 1) -> depth_scale (1,).
-__device__ inline bool is_hit(float z) {
-    return z > 0.0f && z < FARTHEST;
-}
+FN bool is_hit(float z) { return z > 0.0f && z < FARTHEST; }
 
 // Sum of 1 / z over four depths; a product of fractions needs one division, and 4 factors of 1e-6
 // to 1e9 stay normal.
-__device__ inline float nearness(const Four& depth) {
+FN float nearness(const Four& depth) {
     const bool a = is_hit(depth.x), b = is_hit(depth.y), c = is_hit(depth.z), d = is_hit(depth.w);
     const float p = a ? fmaxf(depth.x, NEAREST) : 1.0f, q = b ? fmaxf(depth.y, NEAREST) : 1.0f;
     const float r = c ? fmaxf(depth.z, NEAREST) : 1.0f, s = d ? fmaxf(depth.w, NEAREST) : 1.0f;
@@ -15,13 +13,12 @@ __device__ inline float nearness(const Four& depth) {
     return (left * (r * s) + right * (p * q)) / ((p * q) * (r * s));
 }
 
-__device__ inline int hits_of(const Four& depth) {
+FN int hits_of(const Four& depth) {
     return is_hit(depth.x) + is_hit(depth.y) + is_hit(depth.z) + is_hit(depth.w);
 }
 
 // Adds what the threads of a block have, in a fixed order; the first thread's are the sums.
-__device__ inline void sum_in_block(double (&near)[SUMMING], int (&hits)[SUMMING], double own_near,
-                                    int own_hits) {
+FN void sum_in_block(double (&near)[SUMMING], int (&hits)[SUMMING], double own_near, int own_hits) {
     const int thread = threadIdx.x;
     near[thread] = own_near;
     hits[thread] = own_hits;
@@ -46,8 +43,7 @@ extern "C" __global__ void __launch_bounds__(SUMMING, 2)
     int seen = 0;
     for (int i = first; i < fours; i += 4 * step) {
         Four some[4] = {};  // all are read before the first division
-#pragma unroll
-        for (int k = 0; k < 4; k++)
+        UNROLL for (int k = 0; k < 4; k++)
             if (i + k * step < fours) some[k] = four(depth, i + k * step);
         sum += (nearness(some[0]) + nearness(some[1])) + (nearness(some[2]) + nearness(some[3]));
         seen += (hits_of(some[0]) + hits_of(some[1])) + (hits_of(some[2]) + hits_of(some[3]));
@@ -86,10 +82,8 @@ extern "C" __global__ void denoise_dilate(View motion, View depth, View part_row
     const int v = int(part_rows.at[y]), u = int(part_columns.at[x]), here = v * width + u;
     float near = depth.at[here] * CLEARLY;
     int at = here;
-#pragma unroll
-    for (int j = -1; j <= 1; j++) {
-#pragma unroll
-        for (int i = -1; i <= 1; i++) {
+    UNROLL for (int j = -1; j <= 1; j++) {
+        UNROLL for (int i = -1; i <= 1; i++) {
             // A repeated edge changes nothing: no pixel is nearer than itself.
             const int there = clip(v + j, height) * width + clip(u + i, width);
             const float z = depth.at[there];
@@ -120,48 +114,37 @@ extern "C" __global__ void __launch_bounds__(SUMMING, 2)
                   stop = min(start + TRUST_CELL, w);
         const int u = start + threadIdx.x % TRUST_CELL;
         Colour sum = {0.0f, 0.0f, 0.0f};
-#pragma unroll
-        for (int j = 0; j < TRUST_CELL; j++) {
+        UNROLL for (int j = 0; j < TRUST_CELL; j++) {
             const Colour own = demodulation(diffuse_albedo, specular_albedo, min(first + j, h - 1),
                                             min(u, w - 1));
-            if (first + j < end && u < stop) sum = {sum.r + own.r, sum.g + own.g, sum.b + own.b};
+            if (first + j < end && u < stop) add(sum, own, 1.0f);
         }
         sum = {sum_of_eight(sum.r), sum_of_eight(sum.g), sum_of_eight(sum.b)};
         if (x >= means.size[1] || threadIdx.x % TRUST_CELL) continue;
         const float share = 1.0f / ((end - first) * (stop - start));
         float* const to = means.at + 3 * (y * means.size[1] + x);
-        to[0] = sum.r * share;
-        to[1] = sum.g * share;
-        to[2] = sum.b * share;
+        put(to, sum * share);
     }
 }
 
-// Where a pixel of a side lies among the frame's cells: the two whose centres are around it, from
-// the first of `means` on, and how far it is from the one before it.
-struct Between {
-    int before, after;
-    float share;
-};
-
-__device__ inline Between cells_around(int at, int size, int first) {
-    const int last = (size - 1) / TRUST_CELL;
-    const float place = fminf(fmaxf((at + 0.5f) / TRUST_CELL - 0.5f, 0.0f), float(last));
-    const int before = int(place);
-    return {before - first, min(before + 1, last) - first, place - before};
+// Where a pixel of a side lies among the frame's cells, of which `means` has some from one on.
+FN Between cells_around(int at, int size, int from) {
+    const Between found = between_cells((at + 0.5f) / TRUST_CELL - 0.5f,
+                                        (size - 1) / TRUST_CELL + 1);
+    return {found.first - from, found.second - from, found.share};
 }
 
 // Reflectance brought towards its mean around a pixel of the frame, as far as it is not trusted (1
 // to -1).
-__device__ inline Colour doubted(const Colour& own, const View& means, int v, int u, int h, int w,
-                                 const Window& part, float trust) {
+FN Colour doubted(const Colour& own, const View& means, int v, int u, int h, int w,
+                  const Window& part, float trust) {
     const Between down = cells_around(v, h, part.top / TRUST_CELL - 1);
     const Between across = cells_around(u, w, part.left / TRUST_CELL - 1);
-    const float *const above = means.at + 3 * down.before * means.size[1];
-    const float *const below = means.at + 3 * down.after * means.size[1];
+    const float *const above = means.at + 3 * down.first * means.size[1];
+    const float *const below = means.at + 3 * down.second * means.size[1];
     float mean[3];
-#pragma unroll
-    for (int c = 0; c < 3; c++) {
-        const int left = 3 * across.before + c, right = 3 * across.after + c;
+    UNROLL for (int c = 0; c < 3; c++) {
+        const int left = 3 * across.first + c, right = 3 * across.second + c;
         const float first = above[left] + (below[left] - above[left]) * down.share;
         const float second = above[right] + (below[right] - above[right]) * down.share;
         mean[c] = first + (second - first) * across.share;
@@ -176,10 +159,10 @@ __device__ inline Colour doubted(const Colour& own, const View& means, int v, in
 // next_depth (th, tw, 1), level (4, hp, wp), which is the mean with its importance, and factor (th,
 // tw, 3), the reflectance. All are zero beyond the frame.
 template <class Number>
-__device__ inline void accumulate_pixels(View colour, View diffuse_albedo, View specular_albedo,
-                                         View means, View depth, View past, View fine, View params,
-                                         View window, View next_state, View next_depth, View level,
-                                         View factor) {
+__global__ void denoise_accumulate(View colour, View diffuse_albedo, View specular_albedo,
+                                   View means, View depth, View past, View fine, View params,
+                                   View window, View next_state, View next_depth, View level,
+                                   View factor) {
     const int height = level.size[1], width = level.size[2];
     PIXEL(width, height);
     const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
@@ -205,8 +188,7 @@ __device__ inline void accumulate_pixels(View colour, View diffuse_albedo, View 
                 importance = as_float(head[IMPORTANCE * plane]);
     const Four before = four(past, pixel);
     float hidden[HIDDEN];
-#pragma unroll
-    for (int i = 0; i < HIDDEN; i++) hidden[i] = as_float(head[(MEMORY + i) * plane]);
+    UNROLL for (int i = 0; i < HIDDEN; i++) hidden[i] = as_float(head[(MEMORY + i) * plane]);
     Colour by = demodulation(diffuse_albedo, specular_albedo, part.top + y, part.left + x);
     if (means.size[0] > 1)
         by = doubted(by, means, part.top + y, part.left + x, colour.size[0], colour.size[1], part,
@@ -218,35 +200,13 @@ __device__ inline void accumulate_pixels(View colour, View diffuse_albedo, View 
     const bool edge = (y == 0 && part.top > 0) || (x == 0 && part.left > 0) ||
         (y == past.size[0] - 1 && part.top + y + 1 < colour.size[0]) ||
         (x == past.size[1] - 1 && part.left + x + 1 < colour.size[1]);
-#pragma unroll
-    for (int c = 0; c < 3; c++) {
+    UNROLL for (int c = 0; c < 3; c++) {
         const float* const state = found.state + 4 * c;
         four(next_state, 3 * pixel + c) = edge ? Four{0.0f, 0.0f, 0.0f, 0.0f}
                                                : Four{state[0], state[1], state[2], state[3]};
     }
     next_depth.at[pixel] = z;
-    factor.at[3 * pixel] = by.r;
-    factor.at[3 * pixel + 1] = by.g;
-    factor.at[3 * pixel + 2] = by.b;
-#pragma unroll
-    for (int c = 0; c < 3; c++) to[c * plane] = found.level[c];
+    put(factor.at + 3 * pixel, by);
+    UNROLL for (int c = 0; c < 3; c++) to[c * plane] = found.level[c];
     to[3 * plane] = found.importance;
-}
-
-extern "C" __global__ void denoise_accumulate(View colour, View diffuse_albedo,
-                                              View specular_albedo, View means, View depth,
-                                              View past, View fine, View params, View window,
-                                              View next_state, View next_depth, View level,
-                                              View factor) {
-    accumulate_pixels<float>(colour, diffuse_albedo, specular_albedo, means, depth, past, fine,
-                             params, window, next_state, next_depth, level, factor);
-}
-
-extern "C" __global__ void denoise_accumulate_half(View colour, View diffuse_albedo,
-                                                   View specular_albedo, View means, View depth,
-                                                   View past, View fine, View params, View window,
-                                                   View next_state, View next_depth, View level,
-                                                   View factor) {
-    accumulate_pixels<Half>(colour, diffuse_albedo, specular_albedo, means, depth, past, fine,
-                            params, window, next_state, next_depth, level, factor);
 }

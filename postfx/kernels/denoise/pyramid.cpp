@@ -40,31 +40,27 @@ FN void pool_cell(const Planes& finer, const Planes& weights, Long v, Long u, Ne
     store<F>(importance(0, y) + x, cell.importance);
 }
 
-static void pool_rows(Long first, Long last, Planes finer, Planes finer_importance,
-                      Places finer_rows, Places finer_columns, NewPlanes level,
-                      NewPlanes importance) {
+static void pool_row(Long y, Planes finer, Planes finer_importance, Places finer_rows,
+                     Places finer_columns, NewPlanes level, NewPlanes importance) {
     const Long h = finer.size[1], w = finer.size[2], width = level.size[2];
     const Long left = Long(finer_columns.at[0]);
     const Long begin = left < 0 ? 1 : 0;
     const Long end = smaller<Long>(width, (w - left) / 2);
-    for (Long y = first; y < last; y++) {
-        const Long row = Long(finer_rows.at[y]);
-        const bool whole = row >= 0 && row + 1 < h && begin < end;
-        const auto edge = [&](Long x) {
-            pool_cell<float, true>(finer, finer_importance, row, left + 2 * x, level, importance, y,
-                                   x);
-        };
-        if (whole) {
-            across(begin, end, PIXELS(auto one, Long x) {
-                pool_cell<decltype(one), false>(finer, finer_importance, row, left + 2 * x, level,
-                                                importance, y, x);
-            });
-        }
-        for (Long x = 0; x < (whole ? begin : width); x++) edge(x);
-        for (Long x = end; whole && x < width; x++) edge(x);
+    const Long row = Long(finer_rows.at[y]);
+    const bool whole = row >= 0 && row + 1 < h && begin < end;
+    const auto edge = [&](Long x) {
+        pool_cell<float, true>(finer, finer_importance, row, left + 2 * x, level, importance, y, x);
+    };
+    if (whole) {
+        across(begin, end, EACH(F, Long x) {
+            pool_cell<F, false>(finer, finer_importance, row, left + 2 * x, level,
+                                importance, y, x);
+        });
     }
+    for (Long x = 0; x < (whole ? begin : width); x++) edge(x);
+    for (Long x = end; whole && x < width; x++) edge(x);
 }
-EXPORT(denoise_pool, pool_rows)
+EXPORT(denoise_pool, pool_row)
 
 // All rows of a level; for each row and column, the row and column of the coarser level that it
 // lies in is given. Of the fine head, the last channels are enough.
@@ -79,8 +75,7 @@ static void mix_rows(Long first, Long last, Planes coarse, Planes level, View<co
             const float* below = coarse(k, Long(coarse_rows.at[y]));
             const float* own = level(k, y);
             float* out = mixed(k, y);
-            const auto pixels = PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            const auto pixels = EACH(F, Long x) {
                 store<F>(out + x, mixed_pixel<F>(each_twice<F>(below + (x + second) / 2),
                                                  load<F>(own + x), load<F>(shares + x)));
             };
@@ -143,7 +138,7 @@ FN Filtered<F, CHANNELS> filter_edge(const Filter& filter, Long y, Long x) {
 
 // Filtering a row, whose weights may lie anywhere.
 
-template <int CHANNELS> ONCE void filter_row(Filter filter, Long y, float* out) {
+template <int CHANNELS> ONCE void filter_planes(Filter filter, Long y, float* out) {
     const Long left = smaller<Long>(REACH, filter.right);
     const Long right = larger<Long>(left, filter.right - REACH);
     const bool wide = right - left >= WIDE, inside = y >= REACH && y < filter.bottom - REACH;
@@ -165,22 +160,20 @@ FN void filter_planes(const Planes& mixed, const float* weights, Long step, Long
     const bool one = mixed.size[0] == 1;
     for (Long k = 0; k < mixed.size[0]; k += 3) {
         const Filter filter = {mixed(k), weights, plane, w, step, bottom, right};
-        if (right > 0 && one) filter_row<1>(filter, y, filtered(k, y));
-        if (right > 0 && !one) filter_row<3>(filter, y, filtered(k, y));
+        if (right > 0 && one) filter_planes<1>(filter, y, filtered(k, y));
+        if (right > 0 && !one) filter_planes<3>(filter, y, filtered(k, y));
         for (int c = 0; c < (one ? 1 : 3); c++) {
             for (Long x = right; x < w; x++) filtered(k + c, y)[x] = 0;
         }
     }
 }
 
-static void filter_rows(Long first, Long last, Planes mixed, View<const float, 4> heads,
-                        Places area, NewPlanes filtered) {
+static void filter_row(Long y, Planes mixed, View<const float, 4> heads, Places area,
+                       NewPlanes filtered) {
     const Long step = heads.size[2] * heads.size[3];
-    for (Long y = first; y < last; y++) {
-        filter_planes(mixed, heads(0, 0, y), step, y, area, filtered);
-    }
+    filter_planes(mixed, heads(0, 0, y), step, y, area, filtered);
 }
-EXPORT(denoise_filter, filter_rows)
+EXPORT(denoise_filter, filter_row)
 
 // The same at the finest level, whose weights are made of codes, two rows at a time.
 static Status filter_codes_rows(Long first, Long last, Planes mixed, Codes codes, Factors factors,
@@ -204,41 +197,28 @@ EXPORT(denoise_filter_codes, filter_codes_rows)
 // Filtered colour times reflectance: a border of repeated pixels lies around it, and rows and
 // columns of the part that lie beyond the frame repeat its last ones.
 
-ONCE void remodulate_planes(Long first, Long last, const Planes& filtered,
-                            const View<const float, 3>& factor, const Places& part_rows,
-                            const Places& part_columns, const NewPlanes& radiance, Long plane,
-                            bool with_factor) {
-    const Long h = part_rows.size[0], w = part_columns.size[0];
-    const Long top = Long(part_rows.at[0]);
-    const Long held = Long(part_columns.at[w - 1]) - Long(part_columns.at[0]) + 1;
-    for (Long row = first; row < last; row++) {
-        const Long y = Long(part_rows.at[clip(row - 1, h)]) - top;
-        const float* by = factor(y);
-        for (int c = 0; c < 3; c++) {
-            const float* from = filtered(c, y);
-            float* out = radiance(plane + c, row) + 1;
-            across(0, held, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
-                const F light = load<F>(from + x);
-                store<F>(out + x, with_factor ? light * pick<F, 3>(by + 3 * x + c) : light);
-            });
-            AS_IT_IS for (Long x = held; x <= w; x++) out[x] = out[held - 1];
-            out[-1] = out[0];
-        }
+ONCE void remodulate_row(Long row, const Planes& filtered, const float* factor, Long y, Long held,
+                         Long w, Long plane, const NewPlanes& radiance) {
+    for (int c = 0; c < 3; c++) {
+        const float* from = filtered(c, y);
+        float* out = radiance(plane + c, row) + 1;
+        across(0, held, EACH(F, Long x) {
+            const F light = load<F>(from + x);
+            store<F>(out + x, factor ? light * pick<F, 3>(factor + 3 * x + c) : light);
+        });
+        fill(out, held, w + 1, out[held - 1]);
+        out[-1] = out[0];
     }
 }
-
-static void remodulate_rows(Long first, Long last, Planes filtered, View<const float, 3> factor,
-                            Places part_rows, Places part_columns, NewPlanes radiance) {
-    remodulate_planes(first, last, filtered, factor, part_rows, part_columns, radiance, 0, true);
+// BOTH: filtered colour, then the same times reflectance.
+template <bool BOTH>
+static void remodulate(Long row, Planes filtered, Picture factor, Places part_rows,
+                       Places part_columns, NewPlanes radiance) {
+    const Long h = part_rows.size[0], w = part_columns.size[0];
+    const Long y = Long(part_rows.at[clip(row - 1, h)]) - Long(part_rows.at[0]);
+    const Long held = Long(part_columns.at[w - 1]) - Long(part_columns.at[0]) + 1;
+    if (BOTH) remodulate_row(row, filtered, nullptr, y, held, w, 0, radiance);
+    remodulate_row(row, filtered, factor(y), y, held, w, BOTH ? 3 : 0, radiance);
 }
-EXPORT(denoise_remodulate, remodulate_rows)
-
-// Filtered colour, then the same times reflectance.
-static void remodulate_both_rows(Long first, Long last, Planes filtered,
-                                 View<const float, 3> factor, Places part_rows, Places part_columns,
-                                 NewPlanes both) {
-    remodulate_planes(first, last, filtered, factor, part_rows, part_columns, both, 0, false);
-    remodulate_planes(first, last, filtered, factor, part_rows, part_columns, both, 3, true);
-}
-EXPORT(denoise_remodulate_both, remodulate_both_rows)
+EXPORT(denoise_remodulate, remodulate<false>)
+EXPORT(denoise_remodulate_both, remodulate<true>)

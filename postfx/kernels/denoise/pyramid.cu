@@ -5,12 +5,10 @@ const int BLOCK = 256;
 
 // A cell whose first pixel is at (top, left) of a level, and where in a plane its pixels are. Those
 // beyond have no weight.
-__device__ inline Cell<float> pool_of(const View& importance, int top, int left,
-                                      size_t (&there)[4]) {
+FN Cell<float> pool_of(const View& importance, int top, int left, size_t (&there)[4]) {
     const int height = importance.size[1], width = importance.size[2];
     float weights[4];
-#pragma unroll
-    for (int i = 0; i < 4; i++) {
+    UNROLL for (int i = 0; i < 4; i++) {
         const int v = top + i / 2, u = left + i % 2;
         there[i] = size_t(clip(v, height)) * width + clip(u, width);
         const bool held = v >= 0 && v < height && u >= 0 && u < width;
@@ -54,8 +52,7 @@ extern "C" __global__ void __launch_bounds__(BLOCK, 4)
     const View totals[LAST] = {importance1, importance2, importance3, importance4};
     int first_row = 0, first_column = 0;  // of the first tree in a level
     int high = 0, wide = 0;
-#pragma unroll
-    for (int i = LAST - 1; i >= 0; i--) {
+    UNROLL for (int i = LAST - 1; i >= 0; i--) {
         const int side = TREE >> i;
         high = max(high, (levels[i].size[1] - first_row + side - 1) / side);
         wide = max(wide, (levels[i].size[2] - first_column + side - 1) / side);
@@ -69,8 +66,7 @@ extern "C" __global__ void __launch_bounds__(BLOCK, 4)
         for (int k = 0; k < level1.size[0]; k += 3) {
             const int planes = min(3, level1.size[0] - k);
             int top = first_row + TREE * (tree / wide), left = first_column + TREE * (tree % wide);
-#pragma unroll
-            for (int level = 0; level < LAST; level++) {
+            UNROLL for (int level = 0; level < LAST; level++) {
                 const int side = TREE >> level, j = thread / side, i = thread % side, y = top + j,
                           x = left + i;
                 const int height = levels[level].size[1], width = levels[level].size[2];
@@ -82,8 +78,7 @@ extern "C" __global__ void __launch_bounds__(BLOCK, 4)
                             pool_of(finer_importance, 2 * y + int(firsts.at[0]),
                                     2 * x + int(firsts.at[LAST]), there);
                         const size_t plane = size_t(finer.size[1]) * finer.size[2];
-#pragma unroll
-                        for (int c = 0; c < 3; c++) {
+                        UNROLL for (int c = 0; c < 3; c++) {
                             const float* const from = finer.at + (k + min(c, planes - 1)) * plane;
                             found[c] = pooled<float>(cell, from[there[0]], from[there[1]],
                                                      from[there[2]], from[there[3]]);
@@ -95,23 +90,20 @@ extern "C" __global__ void __launch_bounds__(BLOCK, 4)
                         const Cell<float> cell = cell_of<float>(
                             from[3][v][u], from[3][v][u + 1], from[3][v + 1][u],
                             from[3][v + 1][u + 1]);
-#pragma unroll
-                        for (int c = 0; c < 3; c++)
+                        UNROLL for (int c = 0; c < 3; c++)
                             found[c] = pooled<float>(cell, from[c][v][u], from[c][v][u + 1],
                                                      from[c][v + 1][u], from[c][v + 1][u + 1]);
                         found[3] = cell.importance;
                     }
                     if (y >= 0 && y < height && x >= 0 && x < width) {
                         const size_t here = size_t(y) * width + x, plane = size_t(height) * width;
-#pragma unroll
-                        for (int c = 0; c < 3; c++)
+                        UNROLL for (int c = 0; c < 3; c++)
                             if (c < planes) levels[level].at[(k + c) * plane + here] = found[c];
                         totals[level].at[here] = found[3];
                     } else {
                         found[3] = 0.0f;
                     }
-#pragma unroll
-                    for (int c = 0; c < 4 && level < LAST - 1; c++)
+                    UNROLL for (int c = 0; c < 4 && level < LAST - 1; c++)
                         cells[level][c][j][i] = found[c];
                 }
                 if (level < LAST - 1) {
@@ -134,8 +126,8 @@ struct Trusted {
 // coarse (planes, about hp / 2, about wp / 2), level (planes, hp, wp), heads (1, 26 or more, hp,
 // wp), rows (hp,) and columns (wp,) of coarse that pixels lie in.
 template <class Number>
-__device__ inline Trusted trusted_at(const View& coarse, const View& level, const View& heads,
-                                     const View& rows, const View& columns, int y, int x) {
+FN Trusted trusted_at(const View& coarse, const View& level, const View& heads, const View& rows,
+                      const View& columns, int y, int x) {
     // The full head has the channel elsewhere than the short ones of the coarser levels.
     const size_t channel = heads.size[1] > KERNEL + 1 ? MIX : KERNEL,
                  here = size_t(y) * level.size[2] + x;
@@ -143,8 +135,7 @@ __device__ inline Trusted trusted_at(const View& coarse, const View& level, cons
             size_t(int(rows.at[y])) * coarse.size[2] + int(columns.at[x])};
 }
 
-__device__ inline float mixed_at(const View& coarse, const View& level, const Trusted& by,
-                                 int plane) {
+FN float mixed_at(const View& coarse, const View& level, const Trusted& by, int plane) {
     const float from = coarse.at[size_t(plane) * coarse.size[1] * coarse.size[2] + by.below];
     const float own = level.at[size_t(plane) * level.size[1] * level.size[2] + by.here];
     return mixed_pixel<float>(from, own, by.own);
@@ -152,23 +143,13 @@ __device__ inline float mixed_at(const View& coarse, const View& level, const Tr
 
 // The above -> mixed (planes, hp, wp).
 template <class Number>
-__device__ inline void mix(View coarse, View level, View heads, View rows, View columns,
-                           View mixed) {
+__global__ void denoise_mix(View coarse, View level, View heads, View rows, View columns,
+                            View mixed) {
     PIXEL(mixed.size[2], mixed.size[1]);
     const Trusted by = trusted_at<Number>(coarse, level, heads, rows, columns, y, x);
     for (int k = 0; k < mixed.size[0]; k++)
         mixed.at[size_t(k) * mixed.size[1] * mixed.size[2] + by.here] = mixed_at(coarse, level, by,
                                                                                  k);
-}
-
-extern "C" __global__ void denoise_mix(View coarse, View level, View heads, View rows, View columns,
-                                       View mixed) {
-    mix<float>(coarse, level, heads, rows, columns, mixed);
-}
-
-extern "C" __global__ void denoise_mix_half(View coarse, View level, View heads, View rows,
-                                            View columns, View mixed) {
-    mix<Half>(coarse, level, heads, rows, columns, mixed);
 }
 
 // The 5x5 kernel of a level, which is mixed with the coarser one before, if it MIXES: as above,
@@ -177,8 +158,8 @@ extern "C" __global__ void denoise_mix_half(View coarse, View level, View heads,
 const int WIDE = ACROSS + 2 * REACH, HIGH = DOWN + 2 * REACH;
 
 template <class Number, bool MIXES, class Put>
-__device__ inline void filter(const View& coarse, const View& level, const View& heads,
-                              const View& rows, const View& columns, const View& area, Put put) {
+FN void filter(const View& coarse, const View& level, const View& heads, const View& rows,
+               const View& columns, const View& area, Put put) {
     __shared__ float tile[3][HIGH][WIDE];
     const int height = level.size[1], width = level.size[2], bottom = int(area.at[0]),
               right = int(area.at[1]);
@@ -189,16 +170,14 @@ __device__ inline void filter(const View& coarse, const View& level, const View&
     const bool inside = y < height && x < width;
     Number read[SIDE * SIDE];  // read first and looked at last, so that all reads wait together
     const Number* from = numbers<Number>(heads) + here;
-#pragma unroll
-    for (int i = 0; i < SIDE * SIDE; i++) {
+    UNROLL for (int i = 0; i < SIDE * SIDE; i++) {
         read[i] = inside ? __ldg(from) : Number(0);
         from = behind(from, plane);
     }
     for (int k = 0; k < level.size[0]; k += 3) {
         const int second = k + 1 < level.size[0] ? 1 : 0;  // one plane is read three times
         if (k) __syncthreads();
-#pragma unroll
-        for (int first = 0; first < HIGH * WIDE; first += DOWN * ACROSS) {
+        UNROLL for (int first = 0; first < HIGH * WIDE; first += DOWN * ACROSS) {
             const int n = first + threadIdx.y * ACROSS + threadIdx.x;
             if (n >= HIGH * WIDE) break;
             const int j = n / WIDE, i = n % WIDE, v = top + j - REACH, u = left + i - REACH;
@@ -209,8 +188,7 @@ __device__ inline void filter(const View& coarse, const View& level, const View&
                 by = trusted_at<Number>(coarse, level, heads, rows, columns, v, u);
             const float *own = level.at + k * plane + by.here,
                         *below = coarse.at + k * coarse_plane + by.below;
-#pragma unroll
-            for (int c = 0; c < 3; c++) {
+            UNROLL for (int c = 0; c < 3; c++) {
                 float value = 0.0f;
                 if (is_there) {
                     const float before = MIXES ? __ldg(below) : 0.0f, now = __ldg(own);
@@ -226,8 +204,7 @@ __device__ inline void filter(const View& coarse, const View& level, const View&
         Colour sum = {0.0f, 0.0f, 0.0f};
         float total = TINY;
         const auto add_taps = [&](bool all) {
-#pragma unroll
-            for (int i = 0; i < SIDE * SIDE; i++) {  // taps beyond the picture do not count
+            UNROLL for (int i = 0; i < SIDE * SIDE; i++) {  // taps beyond the picture do not count
                 const int j = threadIdx.y + i / SIDE, n = threadIdx.x + i % SIDE,
                           v = top + j - REACH, u = left + n - REACH;
                 const bool counts =
@@ -241,54 +218,41 @@ __device__ inline void filter(const View& coarse, const View& level, const View&
             && left + ACROSS + REACH <= right)
             add_taps(true);
         else add_taps(false);
-        const float share = over_one(total);
-        put(k, second, y, x, Colour{sum.r * share, sum.g * share, sum.b * share});
+        put(k, second, y, x, sum * over_one(total));
     }
 }
 
 template <class Number, bool MIXES>
-__device__ inline void filter_level(const View& coarse, const View& level, const View& heads,
-                                    const View& rows, const View& columns, const View& area,
-                                    const View& filtered) {
+FN void filter_level(const View& coarse, const View& level, const View& heads, const View& rows,
+                     const View& columns, const View& area, const View& filtered) {
     const size_t plane = size_t(filtered.size[1]) * filtered.size[2];
     filter<Number, MIXES>(coarse, level, heads, rows, columns, area,
                           [&](int k, int second, int y, int x, const Colour& light) {
         float* const to = filtered.at + k * plane + size_t(y) * filtered.size[2] + x;
-        to[0] = light.r;
-        to[second * plane] = light.g;
-        to[2 * second * plane] = light.b;
+        put(to, light, second * plane);
     });
 }
 
-extern "C" __global__ void __launch_bounds__(BLOCK, 3)
+template <class Number>
+__global__ void __launch_bounds__(BLOCK, 3)
     denoise_filter(View mixed, View heads, View area, View filtered) {
-    filter_level<float, false>({}, mixed, heads, {}, {}, area, filtered);
+    filter_level<Number, false>({}, mixed, heads, {}, {}, area, filtered);
 }
 
-extern "C" __global__ void __launch_bounds__(BLOCK, 3)
-    denoise_filter_half(View mixed, View heads, View area, View filtered) {
-    filter_level<Half, false>({}, mixed, heads, {}, {}, area, filtered);
-}
-
-extern "C" __global__ void __launch_bounds__(BLOCK, 3)
+template <class Number>
+__global__ void __launch_bounds__(BLOCK, 3)
     denoise_filter_mixed(View coarse, View level, View heads, View rows, View columns, View area,
                          View filtered) {
-    filter_level<float, true>(coarse, level, heads, rows, columns, area, filtered);
-}
-
-extern "C" __global__ void __launch_bounds__(BLOCK, 3)
-    denoise_filter_mixed_half(View coarse, View level, View heads, View rows, View columns,
-                              View area, View filtered) {
-    filter_level<Half, true>(coarse, level, heads, rows, columns, area, filtered);
+    filter_level<Number, true>(coarse, level, heads, rows, columns, area, filtered);
 }
 
 // The finest level, then times reflectance, a border of repeated pixels around it: the same, factor
 // (th, tw, 3) -> radiance (3, th + 2, tw + 2). Pixels at an edge of the picture also write those
 // beyond it.
 template <class Number>
-__device__ inline void filter_shaded(const View& coarse, const View& level, const View& heads,
-                                     const View& rows, const View& columns, const View& area,
-                                     const View& factor, const View& radiance) {
+__global__ void __launch_bounds__(BLOCK, 3)
+    denoise_filter_shaded(View coarse, View level, View heads, View rows, View columns, View area,
+                          View factor, View radiance) {
     const int bottom = int(area.at[0]) - 1, right = int(area.at[1]) - 1;
     const int width = radiance.size[2], last_row = radiance.size[1] - 1, last_column = width - 1;
     const size_t plane = size_t(radiance.size[1]) * width;
@@ -296,35 +260,21 @@ __device__ inline void filter_shaded(const View& coarse, const View& level, cons
         coarse, level, heads, rows, columns, area,
         [&](int, int, int y, int x, const Colour& light) {
             if (y > bottom || x > right) return;
-            const float* const by = factor.at + 3 * (size_t(y) * factor.size[1] + x);
-            const Colour shaded = {light.r * by[0], light.g * by[1], light.b * by[2]};
+            const size_t own = 3 * (size_t(y) * factor.size[1] + x);
+            const Colour shaded = light * three(factor.at + own);
             for (int v = y ? y + 1 : 0; v <= (y < bottom ? y + 1 : last_row); v++)
                 for (int u = x ? x + 1 : 0; u <= (x < right ? x + 1 : last_column); u++) {
                     float* const to = radiance.at + size_t(v) * width + u;
-                    to[0] = shaded.r;
-                    to[plane] = shaded.g;
-                    to[2 * plane] = shaded.b;
+                    put(to, shaded, plane);
                 }
         });
-}
-
-extern "C" __global__ void __launch_bounds__(BLOCK, 3)
-    denoise_filter_shaded(View coarse, View level, View heads, View rows, View columns, View area,
-                          View factor, View radiance) {
-    filter_shaded<float>(coarse, level, heads, rows, columns, area, factor, radiance);
-}
-
-extern "C" __global__ void __launch_bounds__(BLOCK, 3)
-    denoise_filter_shaded_half(View coarse, View level, View heads, View rows, View columns,
-                               View area, View factor, View radiance) {
-    filter_shaded<Half>(coarse, level, heads, rows, columns, area, factor, radiance);
 }
 
 // Filtered colour times reflectance, a border of repeated pixels around it; before that, in `BOTH`,
 // the colour itself.
 template <bool BOTH>
-__device__ inline void remodulate(const View& filtered, const View& factor, const View& part_rows,
-                                  const View& part_columns, const View& radiance) {
+FN void remodulate(const View& filtered, const View& factor, const View& part_rows,
+                   const View& part_columns, const View& radiance) {
     const int height = radiance.size[1], width = radiance.size[2];
     PIXEL(width, height);
     const int v = int(part_rows.at[clip(y - 1, height - 2)]) - int(part_rows.at[0]);
@@ -333,8 +283,7 @@ __device__ inline void remodulate(const View& filtered, const View& factor, cons
                  there = size_t(v) * filtered.size[2] + u;
     const float* const by = factor.at + 3 * (size_t(v) * factor.size[1] + u);
     const size_t plane = size_t(height) * width, here = size_t(y) * width + x;
-#pragma unroll
-    for (int c = 0; c < 3; c++) {
+    UNROLL for (int c = 0; c < 3; c++) {
         const float light = filtered.at[c * from + there];
         if (BOTH) radiance.at[c * plane + here] = light;
         radiance.at[((BOTH ? 3 : 0) + c) * plane + here] = light * by[c];
@@ -373,9 +322,9 @@ extern "C" __global__ void denoise_alpha_level(View next_samples, View part_rows
 // cells), out_rows (out_th,), out_columns (out_tw,) -> enlarged (out_th, out_tw, 1). Where nothing
 // is near, that of the pixel itself.
 template <class Number>
-__device__ inline void enlarge_alpha(View filtered, View fine, View part_rows, View part_columns,
-                                     View params, View window, View near, View out_rows,
-                                     View out_columns, View enlarged) {
+__global__ void denoise_enlarge_alpha(View filtered, View fine, View part_rows, View part_columns,
+                                      View params, View window, View near, View out_rows,
+                                      View out_columns, View enlarged) {
     const int width = enlarged.size[1];
     PIXEL(width, enlarged.size[0]);
     const Window part = window_of(window);
@@ -409,20 +358,4 @@ __device__ inline void enlarge_alpha(View filtered, View fine, View part_rows, V
         }
     }
     *to = clamped(sum / total, 0.0f, 1.0f);
-}
-
-extern "C" __global__ void denoise_enlarge_alpha(View filtered, View fine, View part_rows,
-                                                 View part_columns, View params, View window,
-                                                 View near, View out_rows, View out_columns,
-                                                 View enlarged) {
-    enlarge_alpha<float>(filtered, fine, part_rows, part_columns, params, window, near, out_rows,
-                         out_columns, enlarged);
-}
-
-extern "C" __global__ void denoise_enlarge_alpha_half(View filtered, View fine, View part_rows,
-                                                      View part_columns, View params, View window,
-                                                      View near, View out_rows, View out_columns,
-                                                      View enlarged) {
-    enlarge_alpha<Half>(filtered, fine, part_rows, part_columns, params, window, near, out_rows,
-                        out_columns, enlarged);
 }

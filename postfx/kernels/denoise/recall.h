@@ -72,8 +72,7 @@ FN void locate_row(const Recall& from, Long here, const RecallRooms& rooms) {
     const float left = from.window.left, y = from.window.top + float(here);
     const float *motion = from.moved(here), *kept = from.keep(clip(here, from.keep.size[0]));
     for (Long x = 0; x < rooms.count; x++) rooms.share()[x] = kept[clip(x, from.keep.size[1])];
-    across(0, rooms.count, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(0, rooms.count, EACH(F, Long x) {
         typedef typename Of<F>::Int I;
         const F px = ramp<F>(left + float(x), 1.0f) + pick<F, 2>(motion + 2 * x);
         const F py = y + pick<F, 2>(motion + 2 * x + 1);
@@ -114,14 +113,14 @@ FN void recall_row(const Recall& from, const RecallRooms& rooms, float* light,
         if (lacks || !inside) {
             rooms.valid()[x] = 0.0f;
         } else {
-            found = lerp(lerp(load_many<Four>(a), load_many<Four>(b), tx),
-                            lerp(load_many<Four>(c), load_many<Four>(d), tx), ty)
+            found = lerp(lerp(load<Four>(a), load<Four>(b), tx),
+                         lerp(load<Four>(c), load<Four>(d), tx), ty)
                   * Four{gain, gain, gain, share};
-            const Eight upper = lerp(load_many<Eight>(a + 4), load_many<Eight>(b + 4), tx);
-            const Eight lower = lerp(load_many<Eight>(c + 4), load_many<Eight>(d + 4), tx);
+            const Eight upper = lerp(load<Eight>(a + 4), load<Eight>(b + 4), tx);
+            const Eight lower = lerp(load<Eight>(c + 4), load<Eight>(d + 4), tx);
             rest = lerp(upper, lower, ty) * share;
         }
-        __builtin_memcpy(light + 4 * x, &found, sizeof found);
+        store(light + 4 * x, found);
         UNROLL for (int i = 0; i < HIDDEN; i++) hidden[i * apart + x] = rest[i];
     }
 }

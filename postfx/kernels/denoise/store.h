@@ -33,8 +33,7 @@ FN void store_zeros(const CodingOf& coding, Long count, int* pixels) {
 template <int PLANES>
 FN void store_word(const float* planes, Long step, const float* scales, const float* zeros,
                    int nothing, Long count, int* to) {
-    across(0, count, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(0, count, EACH(F, Long x) {
         typename Of<F>::Int word = typename Of<F>::Int(PLANES < WORD ? nothing & -1 << 8 * PLANES
                                                                      : 0);
         UNROLL for (int i = 0; i < PLANES; i++) {

@@ -8,35 +8,44 @@
 struct Upsample : Samples {
     Picture warped;
     NewPicture output, history;
+
+    // The frame's row that one of the output is; beyond the frame, its last one.
+    Long row(Long n) const {
+        return smaller<Long>(Long(window.out_top) + n, Long(window.out_height) - 1);
+    }
 };
 struct Guides {
     Picture diffuse, specular, trust;
+    typedef Arrays<Picture, Picture, Picture> Members;
 };
 
 // The head's rows: they are there, or two at a time are made of codes.
-struct Heads {
-    FineHead fine;
+struct CodedHead {
     Codes codes;
     Factors factors;
     Scaling scaling;
+    typedef Arrays<Codes, Factors, Scaling> Members;
+};
+struct Heads {
+    FineHead fine;
+    CodedHead coded;
     Room<int> turned;
     Room<float> made;
     mutable Long pair = -1;
 
-    explicit Heads(const FineHead& fine)
-        : fine(fine), codes(), factors(), scaling(), turned(0), made(0) {}
-    Heads(const Codes& codes, const Factors& factors, const Scaling& scaling)
-        : fine(), codes(codes), factors(factors), scaling(scaling), turned(room_for(codes)),
-          made(MIX * 4 * codes.size[2]) {}
+    explicit Heads(const FineHead& fine) : fine(fine), coded(), turned(0), made(0) {}
+    explicit Heads(const CodedHead& coded)
+        : fine(), coded(coded), turned(room_for(coded.codes)),
+          made(MIX * 4 * coded.codes.size[2]) {}
     explicit operator bool() const { return bool(turned) && bool(made); }
 
     Head row(Long y) const {
-        if (codes.at == nullptr) return head_of(fine, y);
-        const Long w = 2 * codes.size[2];
+        if (coded.codes.at == nullptr) return head_of(fine, y);
+        const Long w = 2 * coded.codes.size[2];
         if (pair != y / 2) {
             pair = y / 2;
-            open_fine_row(codes, pair, factors, scaling, TAP_WEIGHTS, MIX, turned.at,
-                          made.at + TAP_WEIGHTS * 2 * w, 2 * w);
+            open_fine_row(coded.codes, pair, coded.factors, coded.scaling, TAP_WEIGHTS, MIX,
+                          turned.at, made.at + TAP_WEIGHTS * 2 * w, 2 * w);
         }
         return {made.at + y % 2 * w, 2 * w};
     }
@@ -74,10 +83,6 @@ static void fill_guides(const Guides& guides, Long y, Long left, const Rooms& ro
     }
 }
 
-FN void fill(float* row, Long count, float value) {
-    for (Long x = 0; x < count; x++) row[x] = value;
-}
-
 // The render pixels' reflectance in a row of the output, planar.
 static void fill_own(const float* factor, const Rooms& rooms) {
     for (Long x = 0; x < rooms.width; x++) {
@@ -93,11 +98,10 @@ template <class F> FN void keep_lit(const Rooms& rooms, Long x, const Lit<F>& li
 // Colours of a row, in three ways.
 
 template <Reflectance BY>
-FN void row_at_corners(const Row& row, const Weights (&weights)[2], int lower, const Rooms& rooms) {
-    across(0, rooms.columns, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
-        const AtCorner left = {row, weights[0], x, 2 * lower, 0};
-        const AtCorner right = {row, weights[1], x, 2 * lower + 1, 1};
+FN void row_at_corners(const Row& row, const Sides& sides, int lower, const Rooms& rooms) {
+    across(0, rooms.columns, EACH(F, Long x) {
+        const AtCorner left = {row, sides.left, x, 2 * lower, 0};
+        const AtCorner right = {row, sides.right, x, 2 * lower + 1, 1};
         const Lit<F> even = upsample_pixel<F, BY>(row, left);
         const Lit<F> odd = upsample_pixel<F, BY>(row, right);
         for (int c = 0; c < 3; c++) store_pairs<F>(rooms.rgb(c) + 2 * x, even.rgb[c], odd.rgb[c]);
@@ -107,8 +111,7 @@ FN void row_at_corners(const Row& row, const Weights (&weights)[2], int lower, c
 
 template <Reflectance BY>
 FN void row_at_centres(const Row& row, const Weights& weights, const Rooms& rooms) {
-    across(0, rooms.width, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(0, rooms.width, EACH(F, Long x) {
         keep_lit<F>(rooms, x, upsample_pixel<F, BY>(row, AtCentre{row, weights, x}));
     });
 }
@@ -116,17 +119,16 @@ FN void row_at_centres(const Row& row, const Weights& weights, const Rooms& room
 template <Reflectance BY>
 FN void row_anywhere(const Row& row, const Distances& distances, float lower, const Rooms& rooms) {
     const Columns columns = {rooms.index.at, rooms.lean(), rooms.near(), rooms.wide(), rooms.width};
-    across(0, rooms.width, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+    across(0, rooms.width, EACH(F, Long x) {
         const Anywhere at = {row, columns, distances, lower, x};
         keep_lit<F>(rooms, x, upsample_pixel<F, BY>(row, at));
     });
 }
 
-FN void blend_row(const Rooms& rooms, const float* warped, float darken, float* history,
-                  float* output) {
-    across(0, rooms.width, PIXELS(auto one, Long x) {
-        typedef decltype(one) F;
+FN void blend_row(const Rooms& rooms, const Upsample& given, Long n) {
+    const float *warped = given.warped(n), darken = 1.0f / given.params.exposure;
+    float *history = given.history(n), *output = given.output(n);
+    across(0, rooms.width, EACH(F, Long x) {
         const F trust = load<F>(rooms.trust() + x);
         F kept[3];
         for (int c = 0; c < 3; c++) {
@@ -143,21 +145,17 @@ FN void blend_row(const Rooms& rooms, const float* warped, float darken, float* 
 template <Reflectance BY, class Fill>
 FN Status upsample_rows(Long first, Long last, const Upsample& given, const Heads& heads,
                         const Rooms& rooms, const Fill& fill) {
-    const Window& window = given.window;
     const Long h = given.moved.size[0];
     const bool doubles = given.doubles(rooms.width), same = given.keeps_size(rooms.width);
     fill_columns(given, rooms);
     for (Long n = first; n < last; n++) {
-        const Long y = smaller<Long>(Long(window.out_top) + n, Long(window.out_height) - 1);
-        const Place at = row_of(window, n, h);
+        const Long y = given.row(n);
+        const Place at = row_of(given.window, n, h);
         const Distances down = distances_of(given.params.jitter_y - at.offset);
         fill(y, at);
         const Row row = row_of_samples(given, rooms, heads.row(at.index), y, at.index);
         if (BY != OWN && doubles) {
-            const Weights sides[2] = {
-                weights_of(down, distances_of(given.params.jitter_x + 0.25f)),
-                weights_of(down, distances_of(given.params.jitter_x - 0.25f)),
-            };
+            const Sides sides = sides_of(down, given.params);
             if constexpr (BY != OWN) row_at_corners<BY>(row, sides, int(y % 2), rooms);
         } else if (BY != GUIDED && same) {
             const Weights weights = weights_of(down, distances_of(given.params.jitter_x));
@@ -165,8 +163,7 @@ FN Status upsample_rows(Long first, Long last, const Upsample& given, const Head
         } else if constexpr (BY != OWN) {
             row_anywhere<BY>(row, down, lean_of(at.offset), rooms);
         }
-        blend_row(rooms, given.warped(n), 1.0f / given.params.exposure, given.history(n),
-                  given.output(n));
+        blend_row(rooms, given, n);
     }
     return DONE;
 }
@@ -205,7 +202,7 @@ static Status unscaled_rows(Long first, Long last, Upsample given, const Picture
     if (resampled) given.radiance.at = given.radiance(3);
     const Rooms rooms(given.output.size[1], given.moved.size[1]);
     if (!rooms || !heads) return NO_MEMORY;
-    if (resampled) fill(rooms.guide(0), 3 * rooms.width, 1.0f);
+    if (resampled) fill(rooms.guide(0), 0, 3 * rooms.width, 1.0f);
     return upsample_rows<OWN>(first, last, given, heads, rooms, [&](Long, Place at) {
         if (!resampled) fill_own(factor(at.index), rooms);
     });
@@ -213,27 +210,45 @@ static Status unscaled_rows(Long first, Long last, Upsample given, const Picture
 
 // The kernels.
 
-#define LAST                                                                                       \
-    Given<Params> params, Given<Window> window, Picture keep, NewPicture output, NewPicture history
-#define BETWEEN Picture moved, Picture past, Picture warped
-#define GIVEN {{radiance, moved, past, *params, *window, keep}, warped, output, history}
-
-static Status plain(Long first, Long last, Picture radiance, FineHead fine, BETWEEN, LAST) {
-    return plain_rows(first, last, GIVEN, Heads(fine));
+// What leads to the last output, and that at the output's pixels.
+struct Before {
+    Picture moved, past, warped;
+    typedef Arrays<Picture, Picture, Picture> Members;
+};
+struct Made {
+    Given<Params> params;
+    Given<Window> window;
+    Picture keep;
+    NewPicture output, history;
+    typedef Arrays<Given<Params>, Given<Window>, Picture, NewPicture, NewPicture> Members;
+};
+FN Upsample upsample_of(const Picture& radiance, const Before& before, const Made& made) {
+    return {{radiance, before.moved, before.past, *made.params, *made.window, made.keep},
+            before.warped, made.output, made.history};
 }
-EXPORT_ALONE(denoise_upsample, plain)
 
-static Status guided(Long first, Long last, Picture radiance, FineHead fine, BETWEEN,
-                     Picture diffuse, Picture specular, Picture trust, LAST) {
-    return guided_rows(first, last, GIVEN, {diffuse, specular, trust}, Heads(fine));
+template <class Head>
+static Status plain(Long first, Long last, Picture radiance, Head head, Before before, Made made) {
+    return plain_rows(first, last, upsample_of(radiance, before, made), Heads(head));
 }
-EXPORT_ALONE(denoise_upsample_guided, guided)
+EXPORT_ALONE(denoise_upsample, plain<FineHead>)
+EXPORT_ALONE(denoise_upsample_codes, plain<CodedHead>)
 
-static Status unscaled(Long first, Long last, Picture radiance, FineHead fine, BETWEEN,
-                       Picture factor, LAST) {
-    return unscaled_rows(first, last, GIVEN, factor, Heads(fine));
+template <class Head>
+static Status guided(Long first, Long last, Picture radiance, Head head, Before before,
+                     Guides guides, Made made) {
+    return guided_rows(first, last, upsample_of(radiance, before, made), guides, Heads(head));
 }
-EXPORT_ALONE(denoise_upsample_unscaled, unscaled)
+EXPORT_ALONE(denoise_upsample_guided, guided<FineHead>)
+EXPORT_ALONE(denoise_upsample_guided_codes, guided<CodedHead>)
+
+template <class Head>
+static Status unscaled(Long first, Long last, Picture radiance, Head head, Before before,
+                       Picture factor, Made made) {
+    return unscaled_rows(first, last, upsample_of(radiance, before, made), factor, Heads(head));
+}
+EXPORT_ALONE(denoise_upsample_unscaled, unscaled<FineHead>)
+EXPORT_ALONE(denoise_upsample_unscaled_codes, unscaled<CodedHead>)
 
 // A picture that the network gives itself: its pixels are log-encoded, and the first control is the
 // share of each beside the history.
@@ -249,17 +264,15 @@ struct AtPixel {
 };
 
 static Status picture(Long first, Long last, View<const float, 4> picture, FineHead controls,
-                      BETWEEN, LAST) {
+                      Before before, Made made) {
     const Picture planes = {picture.at, {picture.size[1], picture.size[2], picture.size[3]}};
-    const Samples given = {planes, moved, past, *params, *window, keep};
-    const Rooms rooms(output.size[1], moved.size[1]);
+    const Upsample given = upsample_of(planes, before, made);
+    const Rooms rooms(given.output.size[1], given.moved.size[1]);
     if (!rooms) return NO_MEMORY;
     for (Long n = first; n < last; n++) {
-        const Long y = smaller<Long>(Long(window->out_top) + n, Long(window->out_height) - 1);
-        const Long at = row_of(*window, n, moved.size[0]).index;
+        const Long y = given.row(n), at = row_of(given.window, n, given.moved.size[0]).index;
         const Row row = row_of_samples(given, rooms, head_of(controls, at), y, at);
-        across(0, rooms.width, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, rooms.width, EACH(F, Long x) {
             Lit<F> lit;
             for (int c = 0; c < 3; c++) {
                 lit.rgb[c] = larger<F>(load<F>(row.radiance + c * row.plane + x), F(0.0f));
@@ -267,28 +280,8 @@ static Status picture(Long first, Long last, View<const float, 4> picture, FineH
             lit.trust = trust_of<F>(row, AtPixel{row, x});
             keep_lit<F>(rooms, x, lit);
         });
-        blend_row(rooms, warped(n), 1.0f / params->exposure, history(n), output(n));
+        blend_row(rooms, given, n);
     }
     return DONE;
 }
 EXPORT_ALONE(denoise_blend_picture, picture)
-
-static Status plain_codes(Long first, Long last, Picture radiance, Codes codes, Factors factors,
-                          Scaling scaling, BETWEEN, LAST) {
-    return plain_rows(first, last, GIVEN, Heads(codes, factors, scaling));
-}
-EXPORT_ALONE(denoise_upsample_codes, plain_codes)
-
-static Status guided_codes(Long first, Long last, Picture radiance, Codes codes, Factors factors,
-                           Scaling scaling, BETWEEN, Picture diffuse, Picture specular,
-                           Picture trust, LAST) {
-    return guided_rows(first, last, GIVEN, {diffuse, specular, trust},
-                       Heads(codes, factors, scaling));
-}
-EXPORT_ALONE(denoise_upsample_guided_codes, guided_codes)
-
-static Status unscaled_codes(Long first, Long last, Picture radiance, Codes codes, Factors factors,
-                             Scaling scaling, BETWEEN, Picture factor, LAST) {
-    return unscaled_rows(first, last, GIVEN, factor, Heads(codes, factors, scaling));
-}
-EXPORT_ALONE(denoise_upsample_unscaled_codes, unscaled_codes)

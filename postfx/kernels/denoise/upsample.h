@@ -58,6 +58,15 @@ FN Weights weights_of(const Distances& down, const Distances& across) {
     return found;
 }
 
+// Of the left and of the right output pixel in a render pixel, where the output doubles both sides.
+struct Sides {
+    Weights left, right;
+};
+FN Sides sides_of(const Distances& down, const Params& params) {
+    return {weights_of(down, distances_of(params.jitter_x + 0.25f)),
+            weights_of(down, distances_of(params.jitter_x - 0.25f))};
+}
+
 // Accessors.
 
 struct AtCorner {

@@ -4,8 +4,6 @@
 #include "upsample.h"
 #include "../rows.h"
 
-typedef View<const float, 3> Picture;
-typedef View<float, 3> NewPicture;
 typedef View<const float, 4> FineHead;
 
 FN Head head_of(const FineHead& fine, Long y) {

@@ -46,7 +46,7 @@ FN void warp_run(const Pixels& picture, const Moved<float>& moved, Long y, const
         if (is_inside(picture, top, left) && (beside || x + 1 == last)) {
             const Eight found = warp_two(picture, moved, (top * picture.width + left) * 3);
             if (x + 3 <= end) {
-                __builtin_memcpy(out + 3 * x, &found, sizeof found);
+                store(out + 3 * x, found);
             } else {
                 for (int i = 0; i < 3 * (beside ? 2 : 1); i++) out[3 * x + i] = found[i];
             }
@@ -89,8 +89,7 @@ struct Warper {
 
     // Motion (w, 2) of a row of render pixels.
     FN_MEMBER void move(const float* motion) const {
-        across(0, w, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, w, EACH(F, Long x) {
             row().put<F>(x, moved_pixel<F>(pick<F, 2>(motion + 2 * x) * across_scale,
                                            pick<F, 2>(motion + 2 * x + 1) * down_scale));
         });
@@ -98,8 +97,7 @@ struct Warper {
 
     // Where samples of the output's row y begin, with that motion.
     FN_MEMBER void find(Long y) const {
-        across(0, w, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, w, EACH(F, Long x) {
             const F left = load<F>(column() + x) + load<F>(room.at + x) - 1.0f;
             const F top = load<F>(room.at + w + x) + (float(y) - 1.0f);
             store_int<F>(starts.at + x, start_of<F>({nullptr, height, width}, top, left));
@@ -113,7 +111,7 @@ struct Warper {
             const Long start = starts.at[x], to = begin.at[x];
             if (start >= 0) {
                 const Eight found = warp_two(picture, row().get(x), start);
-                __builtin_memcpy(out + 3 * to, &found, sizeof found);
+                store(out + 3 * to, found);
             } else {
                 warp_run(picture, row().get(x), y, columns, to, begin.at[x + 1], out, count);
             }

@@ -7,11 +7,9 @@
 #pragma clang fp contract(off)
 #define FUSED _Pragma("clang fp contract(on)")
 
-typedef View<const float, 2> Plane;
-typedef View<const float, 3> Field;
+typedef Picture Field;
 typedef View<const bool, 2> Known;
-typedef View<float, 2> NewPlane;
-typedef View<float, 3> NewField;
+typedef NewPicture NewField;
 
 FN Long floor_to_whole(double x) { return Long(__builtin_floor(x)); }
 FN double size_of(double x) { return __builtin_fabs(x); }

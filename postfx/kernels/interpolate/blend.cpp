@@ -64,42 +64,40 @@ FN bool shows_same(const float* one, const float* other) {
     return one[FIRST] == other[FIRST] && one[LAST] == other[LAST];
 }
 FN Four apart(const float* one, const float* other) {
-    return magnitude(numbers_at<Four>(other) - numbers_at<Four>(one));
+    return magnitude(load<Four>(other) - load<Four>(one));
 }
 
 // Marks cells that follow one path with those to the right and below by 1, and by 2 where it
 // changes evenly, as on what turns.
-static void join_rows(Long first, Long last, NewField cells) {
+static void join_row(Long y, NewField cells) {
     const Long rows = cells.size[0], columns = cells.size[1];
     const Field known = {cells.at, {rows, columns, NUMBERS}};
-    for (Long y = first; y < last; y++) {
-        const Long j = smaller<Long>(y + 1, rows - 1) - y;
-        for (Long x = 0; x < columns; x++) {
-            const Long i = smaller<Long>(x + 1, columns - 1) - x;
-            float* here = cells(y, x);
-            const float *right = cells(y, x + i), *low = cells(y + j, x);
-            const float* across = cells(y + j, x + i);
-            const bool is_one = shows_same(here, right) && shows_same(here, low)
-                             && shows_same(here, across);
-            const Four beside = most_of<Four>(apart(here, right), apart(here, low));
-            const float most = largest_of(most_of<Four>(beside, apart(here, across)));
-            if (is_one && most <= JOINED) {
-                here[JOIN] = 1.0f;
-                continue;
-            }
-            bool is_even = is_one && most <= TURNING;
-            for (Long c = 0; c < 4 && is_even; c++) {
-                is_even = size_of<float>(here[c] - right[c] - low[c] + across[c]) <= SMOOTH;
-            }
-            for (Long c = 0; c < 4 && is_even; c++) {
-                is_even = is_line(known, y, x, 0, i, c) && is_line(known, y, x, j, 0, c)
-                       && is_line(known, y + j, x, 0, i, c) && is_line(known, y, x + i, j, 0, c);
-            }
-            here[JOIN] = is_even ? 2.0f : 0.0f;
+    const Long j = smaller<Long>(y + 1, rows - 1) - y;
+    for (Long x = 0; x < columns; x++) {
+        const Long i = smaller<Long>(x + 1, columns - 1) - x;
+        float* here = cells(y, x);
+        const float *right = cells(y, x + i), *low = cells(y + j, x);
+        const float* across = cells(y + j, x + i);
+        const bool is_one = shows_same(here, right) && shows_same(here, low)
+                         && shows_same(here, across);
+        const Four beside = most_of<Four>(apart(here, right), apart(here, low));
+        const float most = largest_of(most_of<Four>(beside, apart(here, across)));
+        if (is_one && most <= JOINED) {
+            here[JOIN] = 1.0f;
+            continue;
         }
+        bool is_even = is_one && most <= TURNING;
+        for (Long c = 0; c < 4 && is_even; c++) {
+            is_even = size_of<float>(here[c] - right[c] - low[c] + across[c]) <= SMOOTH;
+        }
+        for (Long c = 0; c < 4 && is_even; c++) {
+            is_even = is_line(known, y, x, 0, i, c) && is_line(known, y, x, j, 0, c)
+                   && is_line(known, y + j, x, 0, i, c) && is_line(known, y, x + i, j, 0, c);
+        }
+        here[JOIN] = is_even ? 2.0f : 0.0f;
     }
 }
-EXPORT(join_cells, join_rows)
+EXPORT(join_cells, join_row)
 
 // The cells before and after a pixel's middle, and how far it is from the first to the second one.
 struct Cells {
@@ -185,8 +183,7 @@ struct Row {
             const Cells& at = places.at[x];
             const float *one = cells + NUMBERS * at.first, *other = cells + NUMBERS * at.second;
             float* to = wide + NUMBERS * x;
-            put_numbers<Eight>(to, mixed<Eight>(numbers_at<Eight>(one), numbers_at<Eight>(other),
-                                                at.share));
+            store<Eight>(to, mixed<Eight>(load<Eight>(one), load<Eight>(other), at.share));
             to[JOIN] = larger<float>(other[SHARP], one[SHARP]);
         }
     }
@@ -217,8 +214,8 @@ struct Row {
             float* path = paths + NUMBERS * x;
             if (joined > 0.0f) {
                 const float *above = upper + NUMBERS * x, *below = lower + NUMBERS * x;
-                put_numbers<Eight>(path, mixed<Eight>(numbers_at<Eight>(above),
-                                                      numbers_at<Eight>(below), down.share));
+                store<Eight>(path, mixed<Eight>(load<Eight>(above), load<Eight>(below),
+                                                down.share));
                 const float most = larger<float>(below[JOIN], above[JOIN]);
                 if (most > CRISP) path[SHARP] = most;
             }
@@ -291,7 +288,7 @@ struct Row {
         const float* cells[4] = {};
         Alike alike = {};
         const auto add = PIXELS(const float* path, Long x) {
-            put_numbers<Eight>(listed.at[count].path, numbers_at<Eight>(path));
+            store<Eight>(listed.at[count].path, load<Eight>(path));
             listed.at[count++].x = x;
         };
         for (Long x = 0; x < w; x++) {
@@ -365,8 +362,7 @@ struct Row {
                                            path[SHARP]);
                 }
                 if (after) {
-                    one.after = colour_at(of.pictures.after, v + path[3], u + path[2],
-                                          path[SHARP]);
+                    one.after = colour_at(of.pictures.after, v + path[3], u + path[2], path[SHARP]);
                 }
             }
             if (of.depth.before.size[0]) find_depth(one);
@@ -383,8 +379,7 @@ struct Row {
             if (row[3 * x] == row[3 * x]) continue;
             if (paths[NUMBERS * x + JOIN] > 0.0f) {
                 shares.at[x] = next->shares;
-                const Shares by =
-                    settled(next->shares, next->before.sum(), next->after.sum(), dim);
+                const Shares by = settled(next->shares, next->before.sum(), next->after.sum(), dim);
                 put(row + 3 * x, mean_of(by, next->before, next->after));
                 next++;
                 continue;

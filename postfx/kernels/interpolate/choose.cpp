@@ -41,48 +41,44 @@ struct Arrived {
 };
 
 // The nearer path of both sides at each cell, or their mean where they are alike; NaN without.
-static void merge_rows(Long first, Long last, Arrived of, Places scales, NewField own) {
+static void merge_row(Long y, Arrived of, Places scales, NewField own) {
     const float scale = *scales.at;
-    for (Long y = first; y < last; y++) {
-        for (Long x = 0; x < own.size[1]; x++) {
-            const float a = of.depth.before(y)[x], b = of.depth.after(y)[x];
-            Path path = side_path(of.paths.before(y, x), false, scale);
-            const Path other = side_path(of.paths.after(y, x), true, scale);
-            const float most = 1.5f * ALIKE * smaller<float>(b, a);
-            if (a < FAR && b < FAR && size_of<float>(a - b) <= most) {
-                // each side is sure of its own frame, and asked about the other one
-                const bool is_seen = other.first + path.last > 0.0f;
-                path = {0.5f * (path.ax + other.ax), 0.5f * (path.ay + other.ay),
-                        0.5f * (path.bx + other.bx), 0.5f * (path.by + other.by),
-                        is_seen ? other.first : 1.0f, is_seen ? path.last : 1.0f};
-            } else if (!(a < b)) {
-                path = other;
-            }
-            __builtin_memcpy(own(y, x), &path, sizeof path);
+    for (Long x = 0; x < own.size[1]; x++) {
+        const float a = of.depth.before(y)[x], b = of.depth.after(y)[x];
+        Path path = side_path(of.paths.before(y, x), false, scale);
+        const Path other = side_path(of.paths.after(y, x), true, scale);
+        const float most = 1.5f * ALIKE * smaller<float>(b, a);
+        if (a < FAR && b < FAR && size_of<float>(a - b) <= most) {
+            // each side is sure of its own frame, and asked about the other one
+            const bool is_seen = other.first + path.last > 0.0f;
+            path = {0.5f * (path.ax + other.ax), 0.5f * (path.ay + other.ay),
+                    0.5f * (path.bx + other.bx), 0.5f * (path.by + other.by),
+                    is_seen ? other.first : 1.0f, is_seen ? path.last : 1.0f};
+        } else if (!(a < b)) {
+            path = other;
         }
+        store(own(y, x), path);
     }
 }
-EXPORT(merge_sides, merge_rows)
+EXPORT(merge_sides, merge_row)
 
 // How much both sides' paths differ from a cell's own one, and that from those to the right and
 // below, in pixels: its last two numbers.
-static void change_rows(Long first, Long last, Both<Field> sides, Places scales, NewField own) {
+static void change_row(Long y, Both<Field> sides, Places scales, NewField own) {
     const Long h = own.size[0], w = own.size[1];
     const float scale = *scales.at;
-    for (Long y = first; y < last; y++) {
-        const Long below = y == h - 1 ? y : y + 1;
-        for (Long x = 0; x < w; x++) {
-            const float *before = sides.before(y, x), *after = sides.after(y, x);
-            float* cell = own(y, x);
-            float apart = most_apart(before, cell, scale);
-            const float other = most_apart(after, cell, scale);
-            if (*before != *before) apart = 0.0f;  // where there is no path
-            cell[6] = *after == *after ? larger<float>(other, apart) : apart;
-            cell[7] = most_changed(cell, own(y, x == w - 1 ? x : x + 1), own(below, x));
-        }
+    const Long below = y == h - 1 ? y : y + 1;
+    for (Long x = 0; x < w; x++) {
+        const float *before = sides.before(y, x), *after = sides.after(y, x);
+        float* cell = own(y, x);
+        float apart = most_apart(before, cell, scale);
+        const float other = most_apart(after, cell, scale);
+        if (*before != *before) apart = 0.0f;  // where there is no path
+        cell[6] = *after == *after ? larger<float>(other, apart) : apart;
+        cell[7] = most_changed(cell, own(y, x == w - 1 ? x : x + 1), own(below, x));
     }
 }
-EXPORT(measure_change, change_rows)
+EXPORT(measure_change, change_row)
 
 // Whether no path of both sides at a cell and at the four beside it differs from its own: known by
 // their changes from cell to cell.
@@ -165,8 +161,7 @@ FN float end_misfit(const Choice& of, const Field& ends, const Plane& seen, doub
 // `most` or less: the flow then leads from one thing to another.
 static inline bool is_explained(const Choice& of, double y, double x, const Path& path,
                                 float most) {
-    const float one =
-        end_misfit(of, of.ends.before, of.seen.before, y + path.ay, x + path.ax);
+    const float one = end_misfit(of, of.ends.before, of.seen.before, y + path.ay, x + path.ax);
     if (0.0f <= one && one <= most) return true;
     const float other = end_misfit(of, of.ends.after, of.seen.after, y + path.by, x + path.bx);
     return 0.0f <= other && other <= most;
@@ -308,34 +303,32 @@ struct Chooser {
 
 // The path of each cell: its own, or another one around it or of the flow that fits much better.
 // The last two numbers are left.
-static void choose_rows(Long first, Long last, Choice of, NewField cells) {
+static void choose_row(Long y, Choice of, NewField cells) {
     const float scale = of.numbers->scale;
     const double middle = double(float(0.5 * (scale - 1.0f)));
-    for (Long y = first; y < last; y++) {
-        for (Long x = 0; x < cells.size[1]; x++) {
-            const bool alone = is_alone(of.own, y, x);
-            const float* own = of.own(y, x);
-            bool has_flow = of.mirrored.size[0] > 0;
-            if (of.flow.before.size[0]) {
-                const float *ahead = of.flow.before(y, x), *back = of.flow.after(y, x);
-                has_flow = has_flow || *ahead == *ahead || *back == *back;
-            }
-            // around what turns, no window that is moved alone fits
-            const bool turns = own[4] + own[5] == 2.0f && is_turning(of.own, y, x, scale);
-            if ((alone && !has_flow) || turns) {
-                put_numbers<Eight>(cells(y, x), numbers_at<Eight>(own));
-                continue;
-            }
-            Chooser chooser(of, y, x, double(scale) * double(y) + middle,
-                            double(scale) * double(x) + middle);
-            chooser.consider_all(alone);
-            Path path = chooser.taken;
-            if (chooser.is_seen) path.first = path.last = 1.0f;
-            __builtin_memcpy(cells(y, x), &path, sizeof path);
+    for (Long x = 0; x < cells.size[1]; x++) {
+        const bool alone = is_alone(of.own, y, x);
+        const float* own = of.own(y, x);
+        bool has_flow = of.mirrored.size[0] > 0;
+        if (of.flow.before.size[0]) {
+            const float *ahead = of.flow.before(y, x), *back = of.flow.after(y, x);
+            has_flow = has_flow || *ahead == *ahead || *back == *back;
         }
+        // around what turns, no window that is moved alone fits
+        const bool turns = own[4] + own[5] == 2.0f && is_turning(of.own, y, x, scale);
+        if ((alone && !has_flow) || turns) {
+            store<Eight>(cells(y, x), load<Eight>(own));
+            continue;
+        }
+        Chooser chooser(of, y, x, double(scale) * double(y) + middle,
+                        double(scale) * double(x) + middle);
+        chooser.consider_all(alone);
+        Path path = chooser.taken;
+        if (chooser.is_seen) path.first = path.last = 1.0f;
+        store(cells(y, x), path);
     }
 }
-EXPORT(choose_paths, choose_rows)
+EXPORT(choose_paths, choose_row)
 
 // The share of detail over 8x6 places whose paths change from place to place as from a cell to the
 // next ones.
@@ -407,20 +400,15 @@ static void detail_rows(Long first, Long last, Toned of, Given<Numbers> numbers,
 EXPORT(measure_detail, detail_rows)
 
 // Misfit of one of 4x4 cells of the frame after that the frame before shows too; -1 elsewhere.
-static void misfit_rows(Long first, Long last, Toned of, Field ends, Plane seen, Places scales,
-                        NewPlane found) {
+static void misfit_row(Long row, Toned of, Field ends, Plane seen, Places scales, NewPlane found) {
     const float size = *scales.at, middle = float(0.5 * (size - 1.0f));
-    for (Long row = first; row < last; row++) {
-        for (Long column = 0; column < found.size[1]; column++) {
-            const Long y = 4 * row + 2, x = 4 * column + 2;
-            const float* own = ends(y, x);
-            const Path path = {size * own[0], size * own[1], size * own[2], size * own[3], 1.0f,
-                               1.0f};
-            found(row)[column] = seen(y)[x] != 0.0f
-                ? misfit(of, double(size) * double(y) + middle, double(size) * double(x) + middle,
-                         path)
-                : -1.0f;
-        }
+    for (Long column = 0; column < found.size[1]; column++) {
+        const Long y = 4 * row + 2, x = 4 * column + 2;
+        const float* own = ends(y, x);
+        const Path path = {size * own[0], size * own[1], size * own[2], size * own[3], 1.0f, 1.0f};
+        const double down = double(size) * double(y) + middle;
+        const double right = double(size) * double(x) + middle;
+        found(row)[column] = seen(y)[x] != 0.0f ? misfit(of, down, right, path) : -1.0f;
     }
 }
-EXPORT(measure_misfits, misfit_rows)
+EXPORT(measure_misfits, misfit_row)

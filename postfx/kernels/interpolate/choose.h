@@ -157,12 +157,12 @@ static inline float sharpness(const Toned& of, double y, double x, const Path& p
 // Two paths' largest difference, of which the first is in cells of `scale` pixels.
 FN float most_apart(const float* side, const float* own, float scale) {
     FUSED;
-    return largest_of(magnitude(numbers_at<Four>(side) * scale - numbers_at<Four>(own)));
+    return largest_of(magnitude(load<Four>(side) * scale - load<Four>(own)));
 }
 
 // The largest difference of a cell's path to those of two others.
 FN float most_changed(const float* own, const float* beside, const float* below) {
-    const Four here = numbers_at<Four>(own);
-    return largest_of(most_of<Four>(magnitude(here - numbers_at<Four>(beside)),
-                                    magnitude(here - numbers_at<Four>(below))));
+    const Four here = load<Four>(own);
+    return largest_of(most_of<Four>(magnitude(here - load<Four>(beside)),
+                                    magnitude(here - load<Four>(below))));
 }

@@ -4,8 +4,6 @@
 #pragma once
 #include "lanes.h"
 
-typedef float Sixteen __attribute__((ext_vector_type(16)));
-
 // Weights of four taps around places in [0, 1) after the second one: of its powers from 0 to 3.
 constexpr float CUBIC[4][4] = {{0.0f, 1.0f, 0.0f, 0.0f},
                                {-0.5f, 0.0f, 0.5f, 0.0f},
@@ -55,9 +53,8 @@ FN Four pixel_of(Sixteen row, int pixel) {
 }
 FN Colour weigh_taps(const float* at, Long stride, Four down, Four across) {
     FUSED;
-    const Sixteen a = numbers_at<Sixteen>(at), b = numbers_at<Sixteen>(at + stride);
-    const Sixteen c = numbers_at<Sixteen>(at + 2 * stride),
-                  d = numbers_at<Sixteen>(at + 3 * stride);
+    const Sixteen a = load<Sixteen>(at), b = load<Sixteen>(at + stride);
+    const Sixteen c = load<Sixteen>(at + 2 * stride), d = load<Sixteen>(at + 3 * stride);
     const Sixteen column = a * down[0] + b * down[1] + c * down[2] + d * down[3];
     Four value = pixel_of(column, 0) * across[0] + pixel_of(column, 1) * across[1]
                + pixel_of(column, 2) * across[2] + pixel_of(column, 3) * across[3];
@@ -124,7 +121,7 @@ struct Weights {
 typedef int WholeFour __attribute__((ext_vector_type(4)));
 FN void aim(const float* path, float y, float x, Four last, Ends& ends, Weights& weights) {
     const Four start = {x, y, x, y};
-    const WideFour way = __builtin_convertvector(numbers_at<Four>(path), WideFour);
+    const WideFour way = __builtin_convertvector(load<Four>(path), WideFour);
     const WideFour most = __builtin_convertvector(last, WideFour), none = 0.0;
     const auto held = PIXELS(Four from) {
         const WideFour place = __builtin_convertvector(from, WideFour) + way;
@@ -140,7 +137,7 @@ FN void aim(const float* path, float y, float x, Four last, Ends& ends, Weights&
     __builtin_memcpy(ends.near_before, &nearest, sizeof nearest);
     const Sixteen places = __builtin_shufflevector(rest, rest, 0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2,
                                                    3, 3, 3, 3);
-    put_numbers<Sixteen>((float*)&weights, weights_at<Sixteen>(places, path[6]));
+    store<Sixteen>((float*)&weights, weights_at<Sixteen>(places, path[6]));
 }
 
 // Whether all taps at both places lie in the picture.

@@ -13,28 +13,25 @@ constexpr float LEAST_MOTION = 0.5f;  // pixels by which the scene behind an ove
 // Grey of the range 0 to 1, with margins, in which differences are about as visible in the dark as
 // in the light: numbers are the light in the middle, and pixels of a margin. Rows above and below
 // the picture are left as they are.
-static void tone_rows(Long first, Long last, Field picture, Places numbers, NewPlane toned) {
+static void tone_row(Long y, Field picture, Places numbers, NewPlane toned) {
     const Long w = picture.size[1], margin = Long(numbers.at[1]);
     const float level = numbers.at[0];
-    for (Long y = first; y < last; y++) {
-        const float* from = picture(y);
-        float* row = toned(y + margin) + margin;
-        across(0, w, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
-            F shade[3];
-            for (int c = 0; c < 3; c++) {
-                const F bright = larger<F>(pick<F, 3>(from + 3 * x + c), F(0.0f));
-                shade[c] = root_of(bright / (bright + level));
-            }
-            store<F>(row + x, (shade[0] + shade[1] + shade[2]) * THIRD);
-        });
-        for (Long beside = 0; beside < margin; beside++) {
-            row[beside - margin] = row[0];
-            row[w + beside] = row[w - 1];
+    const float* from = picture(y);
+    float* row = toned(y + margin) + margin;
+    across(0, w, EACH(F, Long x) {
+        F shade[3];
+        for (int c = 0; c < 3; c++) {
+            const F bright = larger<F>(pick<F, 3>(from + 3 * x + c), F(0.0f));
+            shade[c] = root_of(bright / (bright + level));
         }
+        store<F>(row + x, (shade[0] + shade[1] + shade[2]) * THIRD);
+    });
+    for (Long beside = 0; beside < margin; beside++) {
+        row[beside - margin] = row[0];
+        row[w + beside] = row[w - 1];
     }
 }
-EXPORT(tone_rows, tone_rows)
+EXPORT(tone_rows, tone_row)
 
 // Means of 2x2 pixels within a margin.
 static void average_rows(Long first, Long last, Plane picture, Places margins, NewPlane means) {
@@ -42,8 +39,7 @@ static void average_rows(Long first, Long last, Plane picture, Places margins, N
     for (Long y = first; y < last; y++) {
         const float* upper = picture(2 * y + margin) + margin;
         const float* lower = upper + picture.size[1];
-        across(0, means.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, means.size[1], EACH(F, Long x) {
             const F left = pick<F, 2>(upper + 2 * x) + pick<F, 2>(lower + 2 * x);
             const F sum = left + pick<F, 2>(upper + 2 * x + 1) + pick<F, 2>(lower + 2 * x + 1);
             store<F>(means(y) + x, sum * 0.25f);
@@ -68,7 +64,7 @@ static Status enlarge_rows(Long first, Long last, Field flow, NewField larger_fl
         const Beside down = centre_between(y, h, height);
         for (Long x = 0; x < width; x++) {
             const WideTwo moved = motion_between(flow, down, places.at[x]) * size;
-            put_numbers<Two>(larger_flow(y, x), __builtin_convertvector(moved, Two));
+            store<Two>(larger_flow(y, x), __builtin_convertvector(moved, Two));
         }
     }
     return DONE;
@@ -118,38 +114,34 @@ static void search_rows(Long, Long, Plane one, Plane other, Field flow, NewField
 EXPORT(search_flow, search_rows)
 
 // Motion of each pixel: the mean of the patches over it, by how well they fit there.
-static void spread_rows(Long first, Long last, Plane one, Plane other, Field moved,
-                        NewField flow) {
+static void spread_row(Long y, Plane one, Plane other, Field moved, NewField flow) {
     const Searched of = {one.at, other.at, flow.size[0], flow.size[1]};
     const Long rows = moved.size[0], columns = moved.size[1], reach = PATCH / STRIDE - 1;
-    for (Long y = first; y < last; y++) {
-        const Long last_row = smaller<Long>(y / STRIDE, rows - 1);
-        for (Long x = 0; x < of.w; x += STRIDE) {
-            const Long last_column = smaller<Long>(x / STRIDE, columns - 1);
-            const Four own = numbers_at<Four>(of.patch(y, x));
-            WideFour sum = 0.0, across = 0.0, down = 0.0;
-            for (Long row = larger<Long>(last_row - reach, 0); row <= last_row; row++) {
-                for (Long column = larger<Long>(last_column - reach, 0); column <= last_column;
-                     column++) {
-                    const float u = moved(row, column)[0], v = moved(row, column)[1];
-                    const Window there = of.at(float(double(y) + v), float(double(x) + u));
-                    const Four apart = magnitude(Lines<Four, 1>(there).row[0] - own);
-                    const WideFour share =
-                        1.0 / __builtin_convertvector(LEAST_APART + apart, WideFour);
-                    sum += share;
-                    across += share * double(u);
-                    down += share * double(v);
-                }
+    const Long last_row = smaller<Long>(y / STRIDE, rows - 1);
+    for (Long x = 0; x < of.w; x += STRIDE) {
+        const Long last_column = smaller<Long>(x / STRIDE, columns - 1);
+        const Four own = load<Four>(of.patch(y, x));
+        WideFour sum = 0.0, across = 0.0, down = 0.0;
+        for (Long row = larger<Long>(last_row - reach, 0); row <= last_row; row++) {
+            for (Long column = larger<Long>(last_column - reach, 0); column <= last_column;
+                 column++) {
+                const float u = moved(row, column)[0], v = moved(row, column)[1];
+                const Window there = of.at(float(double(y) + v), float(double(x) + u));
+                const Four apart = magnitude(Lines<Four, 1>(there).row[0] - own);
+                const WideFour share = 1.0 / __builtin_convertvector(LEAST_APART + apart, WideFour);
+                sum += share;
+                across += share * double(u);
+                down += share * double(v);
             }
-            const WideFour right = across / sum, below = down / sum;
-            for (Long k = 0; k < smaller<Long>(STRIDE, of.w - x); k++) {
-                flow(y, x + k)[0] = float(right[k]);
-                flow(y, x + k)[1] = float(below[k]);
-            }
+        }
+        const WideFour right = across / sum, below = down / sum;
+        for (Long k = 0; k < smaller<Long>(STRIDE, of.w - x); k++) {
+            flow(y, x + k)[0] = float(right[k]);
+            flow(y, x + k)[1] = float(below[k]);
         }
     }
 }
-EXPORT(spread_flow, spread_rows)
+EXPORT(spread_flow, spread_row)
 
 // NaN where a motion leads out of the picture, or to where the other one does not lead back; else
 // the motion in pixels of a picture that is larger by the scale.
@@ -196,39 +188,36 @@ FN bool is_edge(const Field& motion, Long y, Long x) {
 // Flow after a share of its way: numbers are cells of a pixel, and that share. What planes tell,
 // too, is left out; where several arrive, that counts whose ends look most alike. least: more than
 // pictures differ.
-static void move_rows(Long first, Long last, Field flow, Field known, Both<Plane> pictures,
-                      Places numbers, NewPlane least, NewField brought) {
+static void move_row(Long y, Field flow, Field known, Both<Plane> pictures, Places numbers,
+                     NewPlane least, NewField brought) {
     const Long h = least.size[0], w = least.size[1];
     const float size = numbers.at[0], share = numbers.at[1];
-    for (Long y = first; y < last; y++) {
-        for (Long x = 0; x < w; x++) {
-            const float *own = flow(y, x), *by_planes = known(y, x);
-            const float u = size * own[0], v = size * own[1];
-            if (u != u) continue;
-            const float off = size_of<float>(u - by_planes[0]);
-            if (larger<float>(size_of<float>(v - by_planes[1]), off) < SAME * size) {
-                if (least(y)[x] > 1.0f) brought(y, x)[0] = __builtin_nanf("");
-                continue;
-            }
-            if (is_edge(known, y, x)) continue;
-            const double down = double(y) + v + 0.5, right = double(x) + u + 0.5;
-            const bool inside = down >= 0.0 && right >= 0.0 && down < double(h)
-                             && right < double(w);
-            if (!inside) continue;
-            const float there = pictures.after(Long(down))[Long(right)];
-            const float apart = size_of<float>(pictures.before(y)[x] - there);
-            const Long top = floor_to_whole(double(y) + share * v);
-            const Long left = floor_to_whole(double(x) + share * u);
-            for (Long corner = 0; corner < 4; corner++) {
-                const Long b = top + corner / 2, a = left + corner % 2;
-                if (b < 0 || b >= h || a < 0 || a >= w || !(apart < least(b)[a])) continue;
-                least(b)[a] = apart;
-                put_numbers<Two>(brought(b, a), numbers_at<Two>(own));
-            }
+    for (Long x = 0; x < w; x++) {
+        const float *own = flow(y, x), *by_planes = known(y, x);
+        const float u = size * own[0], v = size * own[1];
+        if (u != u) continue;
+        const float off = size_of<float>(u - by_planes[0]);
+        if (larger<float>(size_of<float>(v - by_planes[1]), off) < SAME * size) {
+            if (least(y)[x] > 1.0f) brought(y, x)[0] = __builtin_nanf("");
+            continue;
+        }
+        if (is_edge(known, y, x)) continue;
+        const double down = double(y) + v + 0.5, right = double(x) + u + 0.5;
+        const bool inside = down >= 0.0 && right >= 0.0 && down < double(h) && right < double(w);
+        if (!inside) continue;
+        const float there = pictures.after(Long(down))[Long(right)];
+        const float apart = size_of<float>(pictures.before(y)[x] - there);
+        const Long top = floor_to_whole(double(y) + share * v);
+        const Long left = floor_to_whole(double(x) + share * u);
+        for (Long corner = 0; corner < 4; corner++) {
+            const Long b = top + corner / 2, a = left + corner % 2;
+            if (b < 0 || b >= h || a < 0 || a >= w || !(apart < least(b)[a])) continue;
+            least(b)[a] = apart;
+            store<Two>(brought(b, a), load<Two>(own));
         }
     }
 }
-EXPORT(move_flow, move_rows)
+EXPORT(move_flow, move_row)
 
 // Overlays.
 

@@ -49,7 +49,7 @@ struct Apart {
     FN_MEMBER Apart(const float* patch, const Window& window) {
         const Lines<Eight, PATCH> there(window);
         UNROLL for (int j = 0; j < PATCH; j++) {
-            row[j] = there.row[j] - numbers_at<Eight>(patch + j * window.stride);
+            row[j] = there.row[j] - load<Eight>(patch + j * window.stride);
         }
     }
 };
@@ -61,8 +61,8 @@ struct Slopes {
     FN_MEMBER Slopes(const float* patch, Long stride) {
         UNROLL for (int j = 0; j < PATCH; j++) {
             const float* row = patch + j * stride;
-            right[j] = (numbers_at<Eight>(row + 1) - numbers_at<Eight>(row - 1)) * 0.5f;
-            down[j] = (numbers_at<Eight>(row + stride) - numbers_at<Eight>(row - stride)) * 0.5f;
+            right[j] = (load<Eight>(row + 1) - load<Eight>(row - 1)) * 0.5f;
+            down[j] = (load<Eight>(row + stride) - load<Eight>(row - stride)) * 0.5f;
         }
     }
 };

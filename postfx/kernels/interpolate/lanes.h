@@ -2,15 +2,8 @@
 #pragma once
 #include "between.h"
 
-typedef float Eight __attribute__((ext_vector_type(8)));
 typedef double WideFour __attribute__((ext_vector_type(4)));
 
-template <class V> FN V numbers_at(const float* at) {
-    V x;
-    __builtin_memcpy(&x, at, sizeof x);
-    return x;
-}
-template <class V> FN void put_numbers(float* at, V x) { __builtin_memcpy(at, &x, sizeof x); }
 FN Eight magnitude(Eight x) { return __builtin_elementwise_abs(x); }
 FN Four magnitude(Four x) { return __builtin_elementwise_abs(x); }
 template <class V> FN V most_of(V x, V other) { return x > other ? x : other; }
@@ -61,6 +54,6 @@ template <class V, int COUNT> struct Lines {
     }
     FN_MEMBER static V line(const Window& window, Long row) {
         const float* at = window.at + row * window.stride;
-        return mixed<V>(numbers_at<V>(at), numbers_at<V>(at + 1), window.across);
+        return mixed<V>(load<V>(at), load<V>(at + 1), window.across);
     }
 };

@@ -35,81 +35,74 @@ FN Cell<F> gathered(const Pixels<F> (&pixels)[4], float scale, float most) {
 // Motion, in cells, and depth of cells of one pixel or 2x2. Either plane may have one row, which
 // stands for all. numbers: pixels of a cell, and the longest motion, beyond which it becomes NaN;
 // depth lies between 0 and a miss.
-static void gather_rows(Long first, Long last, Field motion, Field depth, Places numbers,
-                        NewField cell_motion, NewField cell_depth) {
+static void gather_row(Long row, Field motion, Field depth, Places numbers, NewField cell_motion,
+                       NewField cell_depth) {
     const Long scale = Long(numbers.at[0]), w = depth.size[1], columns = cell_depth.size[1];
     const Long h = larger<Long>(motion.size[0], depth.size[0]);
     const float size = numbers.at[0], most = numbers.at[1];
-    for (Long row = first; row < last; row++) {
-        const Long top = row * scale, low = smaller<Long>(top + scale - 1, h - 1);
-        const bool deep = depth.size[0] > 1, moving = motion.size[0] > 1;
-        const float* far[2] = {depth(deep ? top : 0), depth(deep ? low : 0)};
-        const float* moved[2] = {motion(moving ? top : 0), motion(moving ? low : 0)};
-        float *cells = cell_motion(row), *depths = cell_depth(row);
-        const Long pairs = scale == 2 ? w / 2 : 0;
-        across(0, pairs, PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
-            Pixels<F> pixels[4];
-            UNROLL for (int k = 0; k < 4; k++) {
-                const float* at = moved[k / 2] + 4 * x + k % 2 * 2;
-                pixels[k] = {pick<F, 2>(far[k / 2] + 2 * x + k % 2), pick<F, 4>(at),
-                             pick<F, 4>(at + 1)};
-            }
-            const Cell<F> cell = gathered<F>(pixels, size, most);
-            store<F>(depths + x, cell.depth);
-            store_pairs<F>(cells + 2 * x, cell.x, cell.y);
-        });
-        for (Long x = pairs; x < columns; x++) {
-            Pixels<float> pixels[4];
-            for (int k = 0; k < 4; k++) {
-                const float* at = moved[k / 2] + 2 * scale * x;
-                pixels[k] = {far[k / 2][scale * x], at[0], at[1]};
-            }
-            const Cell<float> cell = gathered<float>(pixels, size, most);
-            depths[x] = cell.depth;
-            cells[2 * x] = cell.x;
-            cells[2 * x + 1] = cell.y;
+    const Long top = row * scale, low = smaller<Long>(top + scale - 1, h - 1);
+    const bool deep = depth.size[0] > 1, moving = motion.size[0] > 1;
+    const float* far[2] = {depth(deep ? top : 0), depth(deep ? low : 0)};
+    const float* moved[2] = {motion(moving ? top : 0), motion(moving ? low : 0)};
+    float *cells = cell_motion(row), *depths = cell_depth(row);
+    const Long pairs = scale == 2 ? w / 2 : 0;
+    across(0, pairs, EACH(F, Long x) {
+        Pixels<F> pixels[4];
+        UNROLL for (int k = 0; k < 4; k++) {
+            const float* at = moved[k / 2] + 4 * x + k % 2 * 2;
+            pixels[k] = {pick<F, 2>(far[k / 2] + 2 * x + k % 2), pick<F, 4>(at),
+                         pick<F, 4>(at + 1)};
         }
+        const Cell<F> cell = gathered<F>(pixels, size, most);
+        store<F>(depths + x, cell.depth);
+        store_pairs<F>(cells + 2 * x, cell.x, cell.y);
+    });
+    for (Long x = pairs; x < columns; x++) {
+        Pixels<float> pixels[4];
+        for (int k = 0; k < 4; k++) {
+            const float* at = moved[k / 2] + 2 * scale * x;
+            pixels[k] = {far[k / 2][scale * x], at[0], at[1]};
+        }
+        const Cell<float> cell = gathered<float>(pixels, size, most);
+        depths[x] = cell.depth;
+        cells[2 * x] = cell.x;
+        cells[2 * x + 1] = cell.y;
     }
 }
-EXPORT(gather_cells, gather_rows)
+EXPORT(gather_cells, gather_row)
 
 // What stands for depth where there is none: 1 plus the difference of a grey picture to another one
 // where its motion leads, or 2. A path that fits both pictures is in front of one that does not.
-static void rank_rows(Long first, Long last, Plane one, Plane other, Field motion, NewField rank) {
+static void rank_row(Long y, Plane one, Plane other, Field motion, NewField rank) {
     const Long h = one.size[0], w = one.size[1];
-    for (Long y = first; y < last; y++) {
-        for (Long x = 0; x < w; x++) {
-            const double u = double(x) + 0.5 + motion(y, x)[0];
-            const double v = double(y) + 0.5 + motion(y, x)[1];
-            const bool inside = u >= 0.0 && u < double(w) && v >= 0.0 && v < double(h);
-            const float off = inside ? one(y)[x] - other(Long(v))[Long(u)] : 1.0f;
-            *rank(y, x) = 1.0f + size_of<float>(off);
-        }
+    for (Long x = 0; x < w; x++) {
+        const double u = double(x) + 0.5 + motion(y, x)[0];
+        const double v = double(y) + 0.5 + motion(y, x)[1];
+        const bool inside = u >= 0.0 && u < double(w) && v >= 0.0 && v < double(h);
+        const float off = inside ? one(y)[x] - other(Long(v))[Long(u)] : 1.0f;
+        *rank(y, x) = 1.0f + size_of<float>(off);
     }
 }
-EXPORT(rank_paths, rank_rows)
+EXPORT(rank_paths, rank_row)
 
 // Leads motion that was inverted for whole pixels to the places between them whose motion leads
 // back: one step of Newton's method, where motion goes on evenly.
-static void refine_rows(Long first, Long last, Field motion, NewField inverse) {
-    for (Long y = first; y < last; y++) {
-        for (Long x = 0; x < inverse.size[1]; x++) {
-            float* own = inverse(y, x);
-            const double v = double(y) + own[1], u = double(x) + own[0];
-            if (!is_sloping(motion, v, u)) continue;
-            const Sampled there = sample_two(motion, v, u);
-            const float dx = own[0] + there.x, dy = own[1] + there.y, off = farther(dx, dy);
-            if (!(there.is_even && EXACT < off && off <= 1.0f)) continue;
-            const float a = 1.0f + there.right, d = 1.0f + there.under;
-            const float area = a * d - there.down * there.across;
-            if (!(size_of<float>(area) > LEAST_AREA)) continue;
-            own[0] -= (d * dx - there.down * dy) / area;
-            own[1] -= (a * dy - there.across * dx) / area;
-        }
+static void refine_row(Long y, Field motion, NewField inverse) {
+    for (Long x = 0; x < inverse.size[1]; x++) {
+        float* own = inverse(y, x);
+        const double v = double(y) + own[1], u = double(x) + own[0];
+        if (!is_sloping(motion, v, u)) continue;
+        const Sampled there = sample_two(motion, v, u);
+        const float dx = own[0] + there.x, dy = own[1] + there.y, off = farther(dx, dy);
+        if (!(there.is_even && EXACT < off && off <= 1.0f)) continue;
+        const float a = 1.0f + there.right, d = 1.0f + there.under;
+        const float area = a * d - there.down * there.across;
+        if (!(size_of<float>(area) > LEAST_AREA)) continue;
+        own[0] -= (d * dx - there.down * dy) / area;
+        own[1] -= (a * dy - there.across * dx) / area;
     }
 }
-EXPORT(refine_inverse, refine_rows)
+EXPORT(refine_inverse, refine_row)
 
 // What is known of both frames: motion of the one after and what that is turned round; their
 // depth; and motion of the frame before, which may be empty.
@@ -153,7 +146,7 @@ static void back_rows(Long first, Long last, Between of, Field goes, Paths paths
     for (Long y = first; y < last; y++) {
         for (Long x = 0; x < w; x++) {
             const float mx = of.motion(y, x)[0], my = of.motion(y, x)[1];
-            put_numbers<Four>(paths.ends(y, x), Four{mx, my, 0.0f, 0.0f});
+            store<Four>(paths.ends(y, x), Four{mx, my, 0.0f, 0.0f});
             paths.seen(y)[x] = 0.0f;
             const double u = double(x) + mx + 0.5, v = double(y) + my + 0.5;
             const bool inside = u >= 0.0 && u < double(w) && v >= 0.0 && v < double(h);
@@ -164,107 +157,99 @@ static void back_rows(Long first, Long last, Between of, Field goes, Paths paths
             const Led led = {v - 0.5, u - 0.5, mx, my, *of.depth.after(y, x)};
             if (is_same && !is_touched(of.ahead, of.depth.before, led)) paths.seen(y)[x] = 1.0f;
             const WideTwo bend = bend_of(mx, my, sides_of(of, goes, led, is_same, y, x));
-            put_numbers<Two>(paths.bend(y, x), __builtin_convertvector(bend, Two));
+            store<Two>(paths.bend(y, x), __builtin_convertvector(bend, Two));
         }
     }
 }
 EXPORT(lead_back, back_rows)
 
 // Paths of the frame before: to where the frame after shows the point, or straight on.
-static void ahead_rows(Long first, Long last, Between of, Field bend_after, Paths paths) {
+static void ahead_row(Long y, Between of, Field bend_after, Paths paths) {
     const Long h = paths.seen.size[0], w = paths.seen.size[1];
-    for (Long y = first; y < last; y++) {
-        for (Long x = 0; x < w; x++) {
-            float fx = of.ahead(y, x)[0], fy = of.ahead(y, x)[1];
-            paths.seen(y)[x] = 0.0f;
-            if (!(fx < LOST)) {
-                const float none = __builtin_nanf("");
-                fx = of.came.size[0] ? -of.came(y, x)[0] : none;
-                fy = of.came.size[0] ? -of.came(y, x)[1] : none;
-                put_numbers<Four>(paths.ends(y, x), Four{0.0f, 0.0f, fx, fy});
-                continue;
-            }
-            put_numbers<Four>(paths.ends(y, x), Four{0.0f, 0.0f, fx, fy});
-            const double u = double(x) + fx, v = double(y) + fy;
-            const Long i = Long(within_double(u + 0.5, double(w - 1)));
-            const Long j = Long(within_double(v + 0.5, double(h - 1)));
-            const float* back = of.motion(j, i);
-            const bool leads_back = size_of<float>(back[0] + fx) <= SEEN
-                                 && size_of<float>(back[1] + fy) <= SEEN;
-            if (!leads_back) continue;  // a filled crack
-            Two bend = numbers_at<Two>(bend_after(j, i));
-            if (is_sloping(bend_after, v, u)) {
-                const Sampled between = sample_two(bend_after, v, u);
-                if (between.is_even) bend = Two{between.x, between.y};
-            }
-            put_numbers<Two>(paths.bend(y, x), bend);
-            const Led led = {v, u, fx, fy, *of.depth.before(y, x)};
-            if (!is_touched(of.motion, of.depth.after, led)) paths.seen(y)[x] = 1.0f;
+    for (Long x = 0; x < w; x++) {
+        float fx = of.ahead(y, x)[0], fy = of.ahead(y, x)[1];
+        paths.seen(y)[x] = 0.0f;
+        if (!(fx < LOST)) {
+            const float none = __builtin_nanf("");
+            fx = of.came.size[0] ? -of.came(y, x)[0] : none;
+            fy = of.came.size[0] ? -of.came(y, x)[1] : none;
+            store<Four>(paths.ends(y, x), Four{0.0f, 0.0f, fx, fy});
+            continue;
         }
+        store<Four>(paths.ends(y, x), Four{0.0f, 0.0f, fx, fy});
+        const double u = double(x) + fx, v = double(y) + fy;
+        const Long i = Long(within_double(u + 0.5, double(w - 1)));
+        const Long j = Long(within_double(v + 0.5, double(h - 1)));
+        const float* back = of.motion(j, i);
+        const bool leads_back = size_of<float>(back[0] + fx) <= SEEN
+                             && size_of<float>(back[1] + fy) <= SEEN;
+        if (!leads_back) continue;  // a filled crack
+        Two bend = load<Two>(bend_after(j, i));
+        if (is_sloping(bend_after, v, u)) {
+            const Sampled between = sample_two(bend_after, v, u);
+            if (between.is_even) bend = Two{between.x, between.y};
+        }
+        store<Two>(paths.bend(y, x), bend);
+        const Led led = {v, u, fx, fy, *of.depth.before(y, x)};
+        if (!is_touched(of.motion, of.depth.after, led)) paths.seen(y)[x] = 1.0f;
     }
 }
-EXPORT(lead_ahead, ahead_rows)
+EXPORT(lead_ahead, ahead_row)
 
 // Paths at a time, from 0 to 1, and how much of their bend counts there.
 struct Moment {
     float time, bend;
 };
 FN Two place_at(const float* ends, const float* bend, const Moment& at) {
-    const Two start = numbers_at<Two>(ends), end = numbers_at<Two>(ends + 2);
-    return start + at.time * (end - start) + at.bend * numbers_at<Two>(bend);
+    const Two start = load<Two>(ends), end = load<Two>(ends + 2);
+    return start + at.time * (end - start) + at.bend * load<Two>(bend);
 }
 
 // Least depth of the paths that are nearest to each pixel; FAR where there is none.
-static void nearest_rows(Long first, Long last, Field ends, Field bend, Field depth,
-                         Given<Moment> at, NewPlane nearest) {
+static void nearest_row(Long y, Field ends, Field bend, Field depth, Given<Moment> at,
+                        NewPlane nearest) {
     const Long h = nearest.size[0], w = nearest.size[1];
-    for (Long y = first; y < last; y++) {
-        for (Long x = 0; x < w; x++) {
-            const float *own = ends(y, x), *bent = bend(y, x);
-            const float right = at->time * (own[2] - own[0]), down = at->time * (own[3] - own[1]);
-            const double u = double(x) + 0.5 + own[0] + right + at->bend * bent[0];
-            const double v = double(y) + 0.5 + own[1] + down + at->bend * bent[1];
-            const bool inside = u >= 0.0 && u < double(w) && v >= 0.0 && v < double(h);
-            if (!inside) continue;
-            float* found = nearest(Long(v)) + Long(u);
-            *found = smaller<float>(*depth(y, x), *found);
-        }
+    for (Long x = 0; x < w; x++) {
+        const float *own = ends(y, x), *bent = bend(y, x);
+        const float right = at->time * (own[2] - own[0]), down = at->time * (own[3] - own[1]);
+        const double u = double(x) + 0.5 + own[0] + right + at->bend * bent[0];
+        const double v = double(y) + 0.5 + own[1] + down + at->bend * bent[1];
+        const bool inside = u >= 0.0 && u < double(w) && v >= 0.0 && v < double(h);
+        if (!inside) continue;
+        float* found = nearest(Long(v)) + Long(u);
+        *found = smaller<float>(*depth(y, x), *found);
     }
 }
-EXPORT(splat_nearest, nearest_rows)
+EXPORT(splat_nearest, nearest_row)
 
 // Sums of the nearest surface's paths around each pixel: to both frames, seen, weight, and twice
 // nothing.
-static void mean_rows(Long first, Long last, Field ends, Field bend, Field depth, Plane seen,
-                      Given<Moment> at, Plane nearest, NewField found) {
+static void mean_row(Long y, Field ends, Field bend, Field depth, Plane seen, Given<Moment> at,
+                     Plane nearest, NewField found) {
     const Long h = nearest.size[0], w = nearest.size[1];
-    for (Long y = first; y < last; y++) {
-        for (Long x = 0; x < w; x++) {
-            const float* own = ends(y, x);
-            const Two moved = place_at(own, bend(y, x), *at);
-            const double right = double(x) + moved[0], below = double(y) + moved[1];
-            const bool inside = right > -1.0 && below > -1.0 && right < double(w)
-                             && below < double(h);
-            if (!inside) continue;
-            const Long i = floor_to_whole(right), j = floor_to_whole(below);
-            const float z = *depth(y, x);
-            const Eight path = {own[0] - moved[0], own[1] - moved[1], own[2] - moved[0],
-                                own[3] - moved[1], seen(y)[x], 1.0f, 0.0f, 0.0f};
-            const double u = right - double(i), v = below - double(j);
-            const double weights[4] = {(1.0 - u) * (1.0 - v), u * (1.0 - v), (1.0 - u) * v, u * v};
-            for (Long corner = 0; corner < 4; corner++) {
-                const Long b = j + corner / 2, a = i + corner % 2;
-                if (b < 0 || b >= h || a < 0 || a >= w || !(weights[corner] > 0.0)) continue;
-                const float front = nearest(b)[a];
-                if (!(size_of<float>(z - front) <= ALIKE * front)) continue;
-                float* sum = found(b, a);
-                put_numbers<Eight>(sum, added<Eight>(numbers_at<Eight>(sum), path,
-                                                     float(weights[corner])));
-            }
+    for (Long x = 0; x < w; x++) {
+        const float* own = ends(y, x);
+        const Two moved = place_at(own, bend(y, x), *at);
+        const double right = double(x) + moved[0], below = double(y) + moved[1];
+        const bool inside = right > -1.0 && below > -1.0 && right < double(w) && below < double(h);
+        if (!inside) continue;
+        const Long i = floor_to_whole(right), j = floor_to_whole(below);
+        const float z = *depth(y, x);
+        const Eight path = {own[0] - moved[0], own[1] - moved[1], own[2] - moved[0],
+                            own[3] - moved[1], seen(y)[x], 1.0f, 0.0f, 0.0f};
+        const double u = right - double(i), v = below - double(j);
+        const double weights[4] = {(1.0 - u) * (1.0 - v), u * (1.0 - v), (1.0 - u) * v, u * v};
+        for (Long corner = 0; corner < 4; corner++) {
+            const Long b = j + corner / 2, a = i + corner % 2;
+            if (b < 0 || b >= h || a < 0 || a >= w || !(weights[corner] > 0.0)) continue;
+            const float front = nearest(b)[a];
+            if (!(size_of<float>(z - front) <= ALIKE * front)) continue;
+            float* sum = found(b, a);
+            store<Eight>(sum, added<Eight>(load<Eight>(sum), path, float(weights[corner])));
         }
     }
 }
-EXPORT(splat_means, mean_rows)
+EXPORT(splat_means, mean_row)
 
 // Means of the sums; pixels where nothing arrived get those of two neighbours on opposite sides.
 static void crack_rows(Long, Long, Plane nearest, NewField found, NewPlane depth) {
@@ -277,7 +262,7 @@ static void crack_rows(Long, Long, Plane nearest, NewField found, NewPlane depth
             float* sum = found(y, x);
             const float weight = sum[5];
             const Eight weights = {weight, weight, weight, weight, weight, 1.0f, 1.0f, 1.0f};
-            put_numbers<Eight>(sum, numbers_at<Eight>(sum) / weights);
+            store<Eight>(sum, load<Eight>(sum) / weights);
         }
     }
     for (Long y = 0; y < h; y++) {
@@ -347,8 +332,8 @@ static Status hole_rows(Long, Long, Plane depth, NewField field) {
     for (Long k = 0; k < count; k++) {
         const Hole& hole = holes.at[k];
         const bool is_known = hole.row >= 0;
-        const Eight path = is_known ? numbers_at<Eight>(field(hole.row, hole.column)) : still;
-        put_numbers<Eight>(field(hole.y, hole.x), path);
+        const Eight path = is_known ? load<Eight>(field(hole.row, hole.column)) : still;
+        store<Eight>(field(hole.y, hole.x), path);
     }
     return DONE;
 }

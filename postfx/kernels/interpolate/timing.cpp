@@ -43,48 +43,45 @@ FN float most_of_four(float a, float b, float c, float d) {
 
 // Leads light on in pixels that show one surface, stand still and are the mean of both frames: by
 // Lagrange's cubic, within what these show.
-static void curve_rows(Long first, Long last, Colours colours, Moves moves, Depths depths,
-                       Given<Curve> curve, NewField picture) {
+static void curve_row(Long y, Colours colours, Moves moves, Depths depths, Given<Curve> curve,
+                      NewField picture) {
     const float* shares = curve->shares;
-    for (Long y = first; y < last; y++) {
-        for (Long x = 0; x < picture.size[1]; x++) {
-            const float way = larger<float>(longest(moves.own(y, x)), longest(moves.came(y, x)));
-            if (!(larger<float>(longest(moves.goes(y, x)), way) < STILL)) continue;
-            const float i = *depths.earlier(y, x), j = *depths.before(y, x);
-            const float k = *depths.after(y, x), l = *depths.later(y, x);
-            const float off = most_of_four(i, j, k, l) - least_of_four(i, j, k, l);
-            if (!(off <= ALIKE * j)) continue;  // something was in front
-            const float *earlier = colours.earlier(y, x), *before = colours.before(y, x);
-            const float *after = colours.after(y, x), *later = colours.later(y, x);
-            float* to = picture(y, x);
-            float p = 0.0f, q = 0.0f, r = 0.0f, s = 0.0f, apart = 0.0f;
-            for (int c = 0; c < 3; c++) {
-                p += earlier[c];
-                q += before[c];
-                r += after[c];
-                s += later[c];
-                apart += size_of<float>(to[c] - before[c] - curve->time * (after[c] - before[c]));
-            }
-            const float low = least_of_four(p, q, r, s), high = most_of_four(p, q, r, s);
-            if (!(high <= STEADY * low && apart <= MEAN * low)) continue;
-            for (int c = 0; c < 3; c++) {
-                const float one = before[c], other = after[c];
-                const float light = shares[0] * earlier[c] + shares[1] * one + shares[2] * other
-                                  + shares[3] * later[c];
-                const float held = larger<float>(smaller<float>(other, one), light);
-                to[c] = smaller<float>(larger<float>(other, one), held);
-            }
+    for (Long x = 0; x < picture.size[1]; x++) {
+        const float way = larger<float>(longest(moves.own(y, x)), longest(moves.came(y, x)));
+        if (!(larger<float>(longest(moves.goes(y, x)), way) < STILL)) continue;
+        const float i = *depths.earlier(y, x), j = *depths.before(y, x);
+        const float k = *depths.after(y, x), l = *depths.later(y, x);
+        const float off = most_of_four(i, j, k, l) - least_of_four(i, j, k, l);
+        if (!(off <= ALIKE * j)) continue;  // something was in front
+        const float *earlier = colours.earlier(y, x), *before = colours.before(y, x);
+        const float *after = colours.after(y, x), *later = colours.later(y, x);
+        float* to = picture(y, x);
+        float p = 0.0f, q = 0.0f, r = 0.0f, s = 0.0f, apart = 0.0f;
+        for (int c = 0; c < 3; c++) {
+            p += earlier[c];
+            q += before[c];
+            r += after[c];
+            s += later[c];
+            apart += size_of<float>(to[c] - before[c] - curve->time * (after[c] - before[c]));
+        }
+        const float low = least_of_four(p, q, r, s), high = most_of_four(p, q, r, s);
+        if (!(high <= STEADY * low && apart <= MEAN * low)) continue;
+        for (int c = 0; c < 3; c++) {
+            const float one = before[c], other = after[c];
+            const float light = shares[0] * earlier[c] + shares[1] * one + shares[2] * other
+                              + shares[3] * later[c];
+            const float held = larger<float>(smaller<float>(other, one), light);
+            to[c] = smaller<float>(larger<float>(other, one), held);
         }
     }
 }
-EXPORT(curve_light, curve_rows)
+EXPORT(curve_light, curve_row)
 
 // Sparks: isolated, bright, and gone from where a path leads in the other frame.
 
 // Light of the brightest pixel of each cell of so many pixels along a side, one or two, summed over
 // channels.
-static Status brightest_rows(Long first, Long last, Field picture, Places scales,
-                             NewPlane bright) {
+static Status brightest_rows(Long first, Long last, Field picture, Places scales, NewPlane bright) {
     const Long h = picture.size[0], w = picture.size[1], scale = Long(*scales.at);
     const Room<float> room(2 * (w + 1));
     if (!room) return NO_MEMORY;
@@ -93,8 +90,7 @@ static Status brightest_rows(Long first, Long last, Field picture, Places scales
         for (Long line = 0; line < scale; line++) {
             const float* from = picture(smaller<Long>(row * scale + line, h - 1));
             float* to = scale == 1 ? bright(row) : lines[line];
-            across(0, w, PIXELS(auto one, Long x) {
-                typedef decltype(one) F;
+            across(0, w, EACH(F, Long x) {
                 store<F>(to + x, pick<F, 3>(from + 3 * x) + pick<F, 3>(from + 3 * x + 1)
                                      + pick<F, 3>(from + 3 * x + 2));
             });
@@ -102,8 +98,7 @@ static Status brightest_rows(Long first, Long last, Field picture, Places scales
         }
         if (scale == 1) continue;
         const float *upper = lines[0], *lower = lines[1];
-        across(0, bright.size[1], PIXELS(auto one, Long x) {
-            typedef decltype(one) F;
+        across(0, bright.size[1], EACH(F, Long x) {
             const F above = larger<F>(pick<F, 2>(upper + 2 * x), pick<F, 2>(upper + 2 * x + 1));
             const F below = larger<F>(pick<F, 2>(lower + 2 * x), pick<F, 2>(lower + 2 * x + 1));
             store<F>(bright(row) + x, larger<F>(above, below));
@@ -137,22 +132,20 @@ FN bool is_isolated(const Plane& bright, Long y, Long x, const Reach& reach, flo
 }
 // Marks isolated bright cells. numbers: light that counts as dark, and how far away what is around
 // is looked for.
-static void mark_rows(Long first, Long last, Plane bright, Places numbers, View<byte, 2> found) {
+static void mark_row(Long y, Plane bright, Places numbers, View<byte, 2> found) {
     const float dim = numbers.at[0];
     const Long straight = Long(numbers.at[1]);
     const Reach reach = {straight, (7 * straight + 5) / 10};
-    for (Long y = first; y < last; y++) {
-        for (Long x = 0; x < bright.size[1]; x++) {
-            const float light = bright(y)[x];
-            if (!(light > SHOWN * dim && is_isolated(bright, y, x, reach, light / SHOWN))) continue;
-            found(y)[x] = BRIGHT;
-            if (light > SPARK * dim && is_isolated(bright, y, x, reach, light / SPARK)) {
-                found(y)[x] = SPARKS;
-            }
+    for (Long x = 0; x < bright.size[1]; x++) {
+        const float light = bright(y)[x];
+        if (!(light > SHOWN * dim && is_isolated(bright, y, x, reach, light / SHOWN))) continue;
+        found(y)[x] = BRIGHT;
+        if (light > SPARK * dim && is_isolated(bright, y, x, reach, light / SPARK)) {
+            found(y)[x] = SPARKS;
         }
     }
 }
-EXPORT(mark_sparks, mark_rows)
+EXPORT(mark_sparks, mark_row)
 
 // Whether a row has a mark of at least this.
 FN bool has_marks(const byte* row, Long count, byte least) {
@@ -231,45 +224,42 @@ struct Sparks {
 // the nearer one alone: also a spark's edge, which a mean would leave as a ring. near: the mark of
 // the cells to which the path leads; else 1 where the cell's own path, by planes, leads to marked
 // ones.
-static void settle_rows(Long first, Long last, Sparks of, Field own, NewField cells,
-                        View<byte, 2> near) {
+static void settle_row(Long row, Sparks of, Field own, NewField cells, View<byte, 2> near) {
     const Long h = of.pictures.before.size[0], w = of.pictures.before.size[1], scale = of.scale();
     const float middle = float(0.5 * double(scale - 1)), dim = of.look->dim;
     const bool is_first = of.look->time <= 0.5f;  // whether the frame before is the nearer one
-    for (Long row = first; row < last; row++) {
-        for (Long column = 0; column < cells.size[1]; column++) {
-            float* path = cells(row, column);
-            const Long y = scale * row, x = scale * column;
-            const float v = float(y) + middle, u = float(x) + middle;
-            byte& mark = near(row)[column];
-            mark = of.mark_along(v, u, path);
-            if (mark == 0) {
-                const float* plain = own(row, column);
-                const bool is_plain = plain[0] == path[0] && plain[1] == path[1]
-                                   && plain[2] == path[2] && plain[3] == path[3];
-                if (!is_plain) mark = smaller<byte>(of.mark_along(v, u, plain), BESIDE);
-                continue;
-            }
-            if (path[4] + path[5] < 2.0f) continue;
-            bool here = false, there = false;
-            for (Long j = larger<Long>(y - 1, 0); j < smaller<Long>(y + scale + 1, h); j++) {
-                for (Long i = larger<Long>(x - 1, 0); i < smaller<Long>(x + scale + 1, w); i++) {
-                    const Sparks::Lights lights = of.along(j, i, path);
-                    if (lights.before > SPARK * larger<float>(dim, lights.after)) {
-                        here = here || of.mark_before(j, i, path) == SPARKS;
-                    } else if (lights.after > SPARK * larger<float>(dim, lights.before)) {
-                        there = there || of.mark_after(j, i, path) == SPARKS;
-                    }
+    for (Long column = 0; column < cells.size[1]; column++) {
+        float* path = cells(row, column);
+        const Long y = scale * row, x = scale * column;
+        const float v = float(y) + middle, u = float(x) + middle;
+        byte& mark = near(row)[column];
+        mark = of.mark_along(v, u, path);
+        if (mark == 0) {
+            const float* plain = own(row, column);
+            const bool is_plain = plain[0] == path[0] && plain[1] == path[1]
+                               && plain[2] == path[2] && plain[3] == path[3];
+            if (!is_plain) mark = smaller<byte>(of.mark_along(v, u, plain), BESIDE);
+            continue;
+        }
+        if (path[4] + path[5] < 2.0f) continue;
+        bool here = false, there = false;
+        for (Long j = larger<Long>(y - 1, 0); j < smaller<Long>(y + scale + 1, h); j++) {
+            for (Long i = larger<Long>(x - 1, 0); i < smaller<Long>(x + scale + 1, w); i++) {
+                const Sparks::Lights lights = of.along(j, i, path);
+                if (lights.before > SPARK * larger<float>(dim, lights.after)) {
+                    here = here || of.mark_before(j, i, path) == SPARKS;
+                } else if (lights.after > SPARK * larger<float>(dim, lights.before)) {
+                    there = there || of.mark_after(j, i, path) == SPARKS;
                 }
             }
-            if (is_first ? there > here : here > there) {
-                path[4] = is_first ? 1.0f : 0.0f;
-                path[5] = is_first ? 0.0f : 1.0f;
-            }
+        }
+        if (is_first ? there > here : here > there) {
+            path[4] = is_first ? 1.0f : 0.0f;
+            path[5] = is_first ? 0.0f : 1.0f;
         }
     }
 }
-EXPORT(settle_sparks, settle_rows)
+EXPORT(settle_sparks, settle_row)
 
 // Work on the pixels of cells that have at least a mark.
 template <class Work>

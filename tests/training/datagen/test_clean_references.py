@@ -1,5 +1,6 @@
 """References of few samples become those of many, and a clip's other content stays."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ pytest.importorskip("pyoidn")
 from training.datagen import clean_references, formula  # noqa: E402
 from training.datagen.clip_file import load_clip, save_clip  # noqa: E402
 from training.denoise.clips import load  # noqa: E402
-from training.denoise.dataset import compared  # noqa: E402
+from training.denoise.dataset import compared, has_quiet_target  # noqa: E402
 
 FRAMES = 3
 SIDE = 64
@@ -42,6 +43,19 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, np.nd
             reference = (halves[0] + halves[1]) / 2
         save_clip(raw / f"clip.{number:05d}.npz", reference, variants, facts)
     return raw, cleaned, truth
+
+
+def test_both_halves_stay_as_rendered_where_noise_is_kept(folders: tuple[Path, Path, np.ndarray],
+                                                           tmp_path: Path) -> None:
+    raw, kept = tmp_path / "raw", tmp_path / "kept"
+    shutil.copytree(folders[0], raw)
+    before = load_clip(raw / "clip.00000.npz")
+    assert clean_references.main([str(raw), str(kept), "--keep-noise"]) == 0
+    after = load_clip(kept / "clip.00000.npz")
+    assert all(np.array_equal(before[name], after[name]) for name in ("reference", "half"))
+    clip = load(kept / "clip.00000.npz", torch.device("cpu"))
+    assert clip.halved[compared(clip)[-1]]  # the render from half of them is trained on, too
+    assert not has_quiet_target(clip, clip.halved.index(True))
 
 
 def test_references_lose_their_noise_and_files_move(folders: tuple[Path, Path, np.ndarray],

@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from training.denoise.augment import Augment  # noqa: E402
 from training.denoise.clips import CHANNELS, MOTION, load  # noqa: E402
 from training.denoise.dataset import Batch, ClipPool, Stack, to_batch  # noqa: E402
 from training.denoise.gradient import FlatGradient, GradientStep, copy_batch  # noqa: E402
-from training.denoise.model import TrunkConfig  # noqa: E402
+from training.denoise.model import TrunkConfig, empty_state  # noqa: E402
 
 MOVE, TURN = torch.tensor([2.3, -1.1]), 0.03  # render pixels and radians a frame
 H, W = 48, 60
@@ -66,7 +67,8 @@ def moving_clip(scale: int, frames: int = 2) -> Stack:
         reference.append(pattern(*rotated_back(*grid(scale * H, scale * W), t)))
     guides = torch.rand(1, frames, 11, scale * H, scale * W)
     return Stack(planes[None], jitter[None], torch.tensor([False]), torch.ones(1, frames),
-                 torch.stack(reference)[None], planes[None].clone(), guides, torch.ones(1, 1, 1, 1))
+                 torch.stack(reference)[None], planes[None].clone(), guides, torch.ones(1, 1, 1, 1),
+                 torch.ones(1, dtype=torch.bool))
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -184,6 +186,68 @@ def _even_loss(reference: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
     output = reference + noise / 10
     return (losses.frame_loss(output, reference, scale)
             - losses.SEEN * losses.difference(output, reference))
+
+
+def test_a_noisy_reference_moves_no_minimum() -> None:
+    """Over many references of much noise, the loss for such references leads to their mean light,
+    where the loss for clean ones leads below it."""
+    generator = torch.Generator().manual_seed(4)
+    noise = torch.distributions.Gamma(2.0, 2.0)
+    torch.manual_seed(4)
+    light = 0.2 + torch.rand(1, 3, 1, 1, generator=generator)
+    references = (light * noise.sample((1, 1, 96, 96))).expand(1, 3, 96, 96)
+    ones = torch.ones(1, 1, 1, 1)
+
+    def pull(loss: Callable[[torch.Tensor], torch.Tensor], share: float) -> float:
+        """Change of a loss as a flat picture becomes brighter than this share of the light."""
+        factor = torch.tensor(share, requires_grad=True)
+        loss((light * factor).expand(1, 3, 96, 96)).backward()
+        return float(factor.grad)
+
+    def noisy(output: torch.Tensor) -> torch.Tensor:
+        return losses.noisy_frame_loss(output, references, ones)
+
+    def clean(output: torch.Tensor) -> torch.Tensor:
+        return losses.frame_loss(losses.display(output), losses.display(references), ones)
+
+    assert pull(noisy, 0.95) < 0 < pull(noisy, 1.05)
+    assert pull(clean, 0.95) > 0
+
+
+def test_a_clip_with_noisy_references_is_scored_against_them() -> None:
+    """The network's own picture as the reference leaves no loss of pictures and of change."""
+    torch.manual_seed(0)
+    model = small_model()
+    batch = replace(to_batch(moving_clip(2)), surfaces=None)
+    loss = train.ClipLoss(model, flicker=1.0, reset=0.0, light=(0.0, 1.0), is_noisy=True)
+    state, outputs = empty_state(batch.frames[0], *batch.references.shape[-2:]), []
+    with torch.autocast("cpu", torch.bfloat16):
+        for inputs, kept in zip(batch.frames, batch.keep, strict=True):
+            step = model.step(inputs, state.drop(kept))
+            state = step.state
+            outputs.append(step.output.detach())
+    own, other = (loss(one)[0].detach()
+                  for one in (replace(batch, references=torch.stack(outputs)), batch))
+    assert own < 1e-6 < 1e-3 < other
+
+
+def test_clips_whose_reference_is_noisy_do_not_judge_the_predicted_error() -> None:
+    pictures = [torch.rand(2, 3, 16, 16)]
+    batch = replace(to_batch(moving_clip(2)), references=torch.rand(1, 2, 3, 16, 16),
+                    keep=torch.ones(1, 2, 1, 1, 1),
+                    quiet=torch.tensor([True, False])[:, None, None, None])
+    batch = replace(batch, frames=[replace(batch.frames[0], colour=torch.rand(2, 3, 16, 16),
+                                           motion=torch.zeros(2, 2, 16, 16))])
+    predicted = torch.zeros(2, 1, 16, 16, requires_grad=True)
+    losses.Truth(batch, is_noisy=True).error_score(pictures, [predicted]).backward()
+    assert predicted.grad[0].any() and not predicted.grad[1].any()
+
+
+def test_noisy_references_and_colour_moved_towards_them_exclude_each_other(
+        tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        settings(tmp_path, tmp_path / "run", "--noisy-references", "--clean", 0.1)
+    assert "--noisy-references needs --clean 0" in capsys.readouterr().err
 
 
 def test_validation_counts_what_is_seen_however_clips_count(tmp_path: Path) -> None:

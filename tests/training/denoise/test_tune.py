@@ -13,17 +13,19 @@ import postfx  # noqa: E402
 from postfx.cli.main import main  # noqa: E402
 from postfx.frame import Role  # noqa: E402
 from postfx.io.writer import write_channels  # noqa: E402
+from training.denoise import loss as losses  # noqa: E402
 from training.denoise import shot_examples, tune  # noqa: E402
 from training.denoise.model import Inputs, Step  # noqa: E402
 
 
-def write_shot(folder: Path, name: str, sigma: float, seed: int, count: int = 2) -> str:
+def write_shot(folder: Path, name: str, sigma: float, seed: int, count: int = 2,
+               light_of_all: float = 1.0) -> str:
     """Still frames of a checkerboard, with noise."""
     rows, columns = np.mgrid[:48, :64]
     board = 0.2 + 0.5 * ((rows // 6 + columns // 6) % 2)
     random = np.random.default_rng(seed)
     for number in range(1, count + 1):
-        light = np.abs(board[..., None] + random.normal(0, sigma, (48, 64, 3)))
+        light = np.abs(board[..., None] + random.normal(0, sigma, (48, 64, 3))) * light_of_all
         planes = {letter: light[..., axis] for axis, letter in enumerate("RGB")}
         planes |= {"motion.X": 0 * board, "motion.Y": 0 * board, "depth.Z": 1 + 0 * board}
         write_channels(folder / f"{name}.{number:04}.exr", planes, {"postfx:spp": 4})
@@ -75,6 +77,30 @@ def test_a_second_render_with_the_same_noise_teaches_nothing(tmp_path: Path, mon
     monkeypatch.setattr("sys.argv", ["tune", *words, "--steps", "1", "--device", "cpu"])
     assert tune.main() == 2 and "is the same render as" in capsys.readouterr().err
     assert not (tmp_path / "shot.onnx").exists()
+
+
+def test_a_render_of_another_shot_teaches_nothing(tmp_path: Path, monkeypatch, capsys):
+    shot = write_shot(tmp_path, "noisy", 0.1, 1)
+    other = write_shot(tmp_path, "other", 0.1, 2, light_of_all=3.0)
+    monkeypatch.setattr("sys.argv", ["tune", shot, "--references", other, "-o",
+                                     str(tmp_path / "shot.onnx"), "--model", "s", "--steps", "1",
+                                     "--device", "cpu"])
+    assert tune.main() == 2 and "shows another picture than its frame of" in capsys.readouterr().err
+
+
+def test_references_of_a_few_tiles_are_of_the_same_shot(tmp_path: Path, monkeypatch, capsys):
+    """What is black without samples shows no other picture."""
+    shot, clean = write_shot(tmp_path, "noisy", 0.1, 1), write_shot(tmp_path, "clean", 0.0, 2)
+    for frame in list(postfx.read_sequence(clean)):
+        counts = np.zeros((48, 64))
+        counts[16:32] = 256
+        light = frame[Role.COLOUR] * (counts[..., None] > 0)
+        planes = {letter: light[..., axis] for axis, letter in enumerate("RGB")}
+        write_channels(Path(frame.source), planes | {"sample_count.Y": counts})
+    monkeypatch.setattr(shot_examples, "HELD_WINDOWS", {"cpu": 1})
+    code, _ = run_tune(monkeypatch, capsys, shot, "--references", clean, "-o",
+                       str(tmp_path / "shot.onnx"), "--model", "s", "--steps", "1")
+    assert code in (0, 1)
 
 
 def test_a_loss_is_not_written(tmp_path: Path, monkeypatch, capsys):
@@ -159,8 +185,10 @@ def write_even(folder: Path, name: str, light: float) -> str:
     return f"{folder}/{name}.####.exr"
 
 
-def test_each_pixel_is_of_one_render_and_its_target_of_the_other(tmp_path: Path):
+def test_each_pixel_is_of_one_render_and_its_target_of_the_other(tmp_path: Path, monkeypatch):
     """What is held back stays as it is."""
+    # even light tells which render a pixel is of
+    monkeypatch.setattr(shot_examples, "is_other_picture", lambda *_: False)
     found = read_halves(write_even(tmp_path, "a", 0.25), write_even(tmp_path, "b", 0.75))
     split = shot_examples.Split(found)
     windows = split.draw(shot_examples.random.Random(1))
@@ -216,10 +244,10 @@ def test_noise_of_targets_moves_no_minimum():
     """The error of what is seen, whose slope is that of the display curve, is least at the mean."""
     light = torch.linspace(0.01, 4, 150, dtype=torch.float64).reshape(1, 3, 5, 10).requires_grad_()
     (slope,) = torch.autograd.grad(tune.display(light).sum(), light)
-    torch.testing.assert_close(tune.display_slope(light), slope)
+    torch.testing.assert_close(losses.display_slope(light), slope)
     noisy = light.detach() * torch.tensor([0.2, 1.8])[:, None, None, None]
     (gradient,) = torch.autograd.grad(
-        tune.seen_error(light, noisy, light.detach()).sum(), light)
+        losses.seen_error(light, noisy, light.detach()).square().sum(), light)
     assert gradient.abs().max() < 1e-6
 
 
