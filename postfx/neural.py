@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -29,9 +28,6 @@ from postfx.runtime import ArgumentTable, ComputeEncoder, Device, Tensor
 from postfx.version import pip_install
 
 __all__ = ["Grid", "Learner", "Network"]
-
-OPSET = 20
-"""The first with GELU."""
 
 # Points of a group at least, and groups at most, on the CPU, where a thread sums a group, and on
 # a GPU, where a block does.
@@ -77,21 +73,22 @@ class Network:
         if len(self.hidden) >= MOST_LAYERS:
             raise ModelError(f"{len(self.hidden)} hidden layers: a small network has at most "
                              f"{MOST_LAYERS - 1}")
-        if not 0 <= self._encoded <= self.inputs or not 0 <= self.bands <= 20:
-            raise ModelError(f"{self.bands} bands of {self._encoded} inputs: there are "
+        if not 0 <= self.encoded_inputs <= self.inputs or not 0 <= self.bands <= 20:
+            raise ModelError(f"{self.bands} bands of {self.encoded_inputs} inputs: there are "
                              f"{self.inputs} inputs, and at most 20 bands")
         if not all(1 <= size <= MOST_WIDTH for size in (self.inputs, *self.sizes)):
             raise ModelError(f"layers of {', '.join(map(str, self.sizes))} numbers: each must have "
                              f"1 to {MOST_WIDTH}")
 
     @property
-    def _encoded(self) -> int:
+    def encoded_inputs(self) -> int:
+        """How many inputs, from the first on, have bands."""
         return self.inputs if self.encoded is None else self.encoded
 
     @property
     def sizes(self) -> tuple[int, ...]:
         """Numbers that the first layer reads, then the outputs of every layer."""
-        return (self.inputs + 2 * self.bands * self._encoded, *self.hidden, self.outputs)
+        return (self.inputs + 2 * self.bands * self.encoded_inputs, *self.hidden, self.outputs)
 
     @cached_property
     def shapes(self) -> tuple[tuple[int, int], ...]:
@@ -107,7 +104,7 @@ class Network:
     def facts(self) -> np.ndarray:
         """The argument `network` of the kernels."""
         facts = np.zeros(FACTS, np.float32)
-        numbers = (len(self.shapes), self.inputs, self._encoded, self.bands,
+        numbers = (len(self.shapes), self.inputs, self.encoded_inputs, self.bands,
                    ACTIVATIONS.index(self.activation))
         facts[:len(numbers) + len(self.sizes)] = (*numbers, *self.sizes)
         return facts
@@ -139,62 +136,11 @@ class Network:
         Raises ModelError without the package `onnx`.
         """
         try:
-            from onnx import TensorProto, helper, numpy_helper
+            from postfx.neural_onnx import to_onnx
         except ImportError:
             raise ModelError("ONNX models are made with the package onnx: "
                              f"{pip_install('capture')}") from None
-        nodes: list[Any] = []
-        held: dict[str, np.ndarray] = {}
-
-        def add(kind: str, inputs: list[str], **options: Any) -> str:
-            nodes.append(helper.make_node(kind, inputs, [f"v{len(nodes)}"], **options))
-            return f"v{len(nodes) - 1}"
-
-        def hold(array: Any, kind: Any = np.int64) -> str:
-            held[f"c{len(held)}"] = np.asarray(array, kind)
-            return f"c{len(held) - 1}"
-
-        row, parts = "points", ["points"]
-        if self.bands and self._encoded:
-            seen = add("Slice", ["points", hold([0]), hold([self._encoded]), hold([1])])
-            wide = add("Unsqueeze", [seen, hold([1])])
-            factors = 2.0 ** np.arange(self.bands)[:, None]
-            turns = add("Mul", [wide, hold(factors, np.float32)])
-            whole = add("Floor", [add("Add", [turns, hold(0.5, np.float32)])])
-            angle = add("Mul", [add("Sub", [turns, whole]), hold(np.pi, np.float32)])
-            odd = add("Mod", [whole, hold(2.0, np.float32)], fmod=1)
-            sign = add("Sub", [hold(1.0, np.float32),
-                               add("Mul", [hold(2.0, np.float32), add("Abs", [odd])])])
-            waves = [add("Unsqueeze", [add("Mul", [sign, add(kind, [angle])]), hold([3])])
-                     for kind in ("Sin", "Cos")]
-            pairs = add("Concat", waves, axis=3)
-            parts.append(add("Reshape", [pairs, hold([-1, 2 * self.bands * self._encoded])]))
-            row = add("Concat", parts, axis=1)
-        start = 0
-        for index, (makes, reads) in enumerate(self.shapes):
-            middle, end = start + makes * reads, start + makes * (reads + 1)
-            if parameters is None:
-                weights = add("Slice", ["parameters", hold([start]), hold([middle])])
-                weights = add("Reshape", [weights, hold([makes, reads])])
-                biases = add("Slice", ["parameters", hold([middle]), hold([end])])
-            else:
-                weights = hold(parameters[start:middle].reshape(makes, reads), np.float32)
-                biases = hold(parameters[middle:end], np.float32)
-            row, start = add("Gemm", [row, weights, biases], transB=1), end
-            if index < len(self.hidden):
-                row = add({"relu": "Relu", "gelu": "Gelu", "sine": "Sin"}[self.activation], [row])
-        nodes[-1].output[0] = "values"
-        values = [("points", ("points", self.inputs)), ("parameters", (self.count,)),
-                  ("values", ("points", self.outputs))]
-        points, given, made = (helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)
-                               for name, shape in values)
-        graph = helper.make_graph(nodes, "network",
-                                  [points, given][:1 if parameters is not None else 2], [made],
-                                  [numpy_helper.from_array(array, name)
-                                   for name, array in held.items()])
-        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)],
-                                  ir_version=9)
-        return bytes(model.SerializeToString())
+        return to_onnx(self.shapes, self.activation, self.bands, self.encoded_inputs, parameters)
 
     def save_onnx(self, path: str | Path, parameters: np.ndarray | None = None) -> None:
         """Write the ONNX model to a file, which a `Library` of its folder finds."""

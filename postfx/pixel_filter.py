@@ -1,11 +1,13 @@
-"""Pixel filters that add each sample to all pixels around it, as Mitsuba's gaussian does.
+"""Pixel filters of renderers, which add each sample to all pixels around it, as Mitsuba's gaussian
+does: found, undone, and applied again.
 
-Noise of pixels beside each other is then alike, which networks that saw other noise in training
-take for detail. The width of the filter is found in the noise itself; the filter is undone, which
-makes the noise of each pixel its own again; and what was denoised is spread as before.
+With such a filter the noise of neighbouring pixels is alike, and networks that were trained on
+independent noise take it for detail. The width of the filter is found in the noise itself. Undoing
+the filter makes the noise of each pixel independent again, and the denoised picture is filtered as
+the render was.
 
-A filter is taken as a gaussian whose samples lie anywhere in a pixel. Pixels at a distance of d
-have noise whose correlation is then exp(-d^2 / (4 stddev^2)), by rows and by columns.
+A filter is taken as a gaussian whose samples lie anywhere in a pixel. The noise of pixels at a
+distance of d then has the correlation exp(-d^2 / (4 stddev^2)), along rows and along columns.
 """
 
 from __future__ import annotations
@@ -24,44 +26,42 @@ from postfx.planes import Divide
 # Finding a filter.
 
 NOISE_WINDOW_PX = 960, 540
-"""Most columns and rows, in the middle of the picture, that are looked at."""
+"""Columns and rows, in the middle of the picture, that are looked at, at most."""
 NOISE_CELL_PX = 12
 """Side of the cells whose noise is compared."""
 LEAST_NOISE = 0.002
-"""Square of what `SHARPEST` leaves in a cell, in squares of the cell's mean light, from which on
-noise is looked at: 0.7 % of noise that is not spread."""
+"""Power of a cell's noise in the band `SHARPEST`, over the square of its mean light, from which the
+cell is looked at: 0.7 % of noise that is independent."""
 LEAST_NOISE_ALONE = 0.05
-"""`LEAST_NOISE` without planes that tell detail from noise: 4 %."""
+"""`LEAST_NOISE` for frames without planes that tell detail from noise: 4 %."""
 LEAST_LIT = 1e-4
-"""Darker cells are not looked at, in shares of the brightest one's light."""
+"""Light of a cell over the brightest one's, below which it is not looked at."""
 MOST_TEXTURE = 0.1
-"""A cell counts as even whose albedo and normal change by at most this share of its light's
-change."""
+"""Change of albedo and normal in a cell over the change of its light, up to which it is even."""
 LEAST_TEXTURE_LIGHT = 1e-4
-"""Albedo squared that changes are divided by at least."""
+"""Squared albedo that changes are divided by, at least."""
 LEAST_NOISY_CELLS = 8
-"""Noisy cells without which nothing is said."""
+"""Noisy cells that are needed to tell anything."""
 LEAST_NOISY_SHARE = 0.5
-"""Share of the even cells that has to be noisy: else what is seen is detail that no plane knows."""
+"""Share of the even cells that must be noisy: else the picture has detail that no plane shows."""
 CLEAN_CELLS_SHARE = 0.1
-"""Share of the noisy cells, those with the least structure, that is always taken."""
+"""Share of the noisy cells that is always taken: those with the least structure."""
 FEWEST_CLEAN_CELLS = 8
-"""Cells that are taken, if there are so many."""
+"""Number of cells that are always taken, if there are so many."""
 CLEAN_CELL = 1.5
-"""Other cells are taken that have at most this times the structure of noise alone."""
+"""Structure of a cell over that of noise alone, up to which other cells are taken, too."""
 MOST_STRUCTURE = 1.5
-"""Nothing is said where the cleanest cells have more than this times the structure of noise alone:
-then detail is compared, which looks like noise that is spread. Undoing a filter that is not there
-costs 4 to 12 dB."""
+"""Structure of the cleanest cells over that of noise alone, above which nothing is told: they show
+detail, which looks like filtered noise. Undoing a filter that is not there costs 4 to 12 dB."""
 ROUNDS = 3
-"""How often cells are chosen by the width that those before told."""
+"""Times that cells are chosen anew by the width that was found before."""
 MOST_LIGHT = 1e9
-"""Light above this is taken as this much, so that sums stay finite."""
+"""Light above this is cut to it, so that sums stay finite."""
 LEAST_FOUND_PX = 0.34
 """Standard deviation in pixels below which noise counts as independent. Thirteen kinds of content
-with independent noise of 4 to 1024 samples tell up to 0.28."""
+with independent noise, at 4 to 1024 samples, give up to 0.28."""
 TABLE_SIZE = 111
-"""Widths that are told apart."""
+"""Number of widths that are told apart."""
 
 SHARPEST = (1, -2, 1)
 SHARP = (1, 0, -1)
@@ -70,21 +70,22 @@ SMOOTH = (1, 2, 1)
 
 # Filters.
 
-LEAST_STDDEV_PX, MOST_STDDEV_PX = 0.2, 0.75
-"""Standard deviations that a filter may have, in pixels. One of 0.2 spreads nothing; beyond 0.75
-too little is left of what is fine."""
+LEAST_STDDEV_PX = 0.2
+"""Least standard deviation of a filter, which spreads nothing."""
+MOST_STDDEV_PX = 0.75
+"""Largest standard deviation of a filter: beyond it too little is left of fine detail."""
 SPREAD_REACH_PX = 2
 """Pixels to each side to which light is spread."""
 UNDO_REACH_PX = 4
-"""Pixels to each side that are looked at to undo it."""
+"""Pixels to each side that are looked at to undo that."""
 MOST_GAIN = 6.0
-"""How much undoing amplifies a frequency at most, in one direction."""
+"""Factor by which undoing amplifies a frequency, at most, in one direction."""
 FREQUENCIES = 256
-"""Frequencies by which weights are computed."""
+"""Number of frequencies by which weights are computed."""
 
 NORMALS = (Role.NORMAL, Role.DENOISING_NORMAL)
 FILTERED_ROLES = (Role.COLOUR, Role.OPAQUE_COLOUR, *ALBEDOS, Role.DENOISING_ALBEDO, *NORMALS)
-"""Planes that renderers filter, of those that help to denoise."""
+"""Planes that networks read and renderers filter."""
 
 _spread_plane = Rows("spread_plane")
 _undo_spread = Rows("undo_spread")
@@ -108,15 +109,16 @@ class PixelFilter:
         self._divide = divide
 
     def spread(self, plane: np.ndarray, output: np.ndarray) -> None:
-        """Apply the filter to a plane of independent pixels; its mean stays."""
+        """Apply the filter to a plane. The mean of its pixels stays."""
         self._run(_spread_plane, plane, self._spreading, output)
 
     def undo(self, plane: np.ndarray, output: np.ndarray) -> None:
-        """A plane of any sign before the filter spread it."""
+        """Undo the filter in a plane whose values may have any sign."""
         self._run(_spread_plane, plane, self._undoing, output)
 
     def without(self, planes: Mapping[Role, np.ndarray]) -> dict[Role, np.ndarray]:
-        """Planes of a frame before the filter; light and albedos as by `undo_light`."""
+        """Planes of a frame with the filter undone: light and albedos by `undo_light`, normals by
+        `undo`."""
         found = {role: np.empty(plane.shape, np.float32) for role, plane in planes.items()}
         for role, output in found.items():
             plane = whole(planes[role], np.float32)
@@ -127,10 +129,10 @@ class PixelFilter:
         return found
 
     def undo_light(self, light: np.ndarray, output: np.ndarray, between: np.ndarray) -> None:
-        """Light before the filter spread it; none is below 0 that was not, nor farther below.
+        """Undo the filter in light. No pixel becomes negative that was not, nor more negative.
 
-        What that leaves out beside bright pixels is then brought back: twice the result comes
-        nearer to light that gives the ``light`` when it is spread. ``between`` has the same shape
+        That bound loses light beside bright pixels. Two further steps bring the result nearer to
+        the light that gives ``light`` when the filter is applied. ``between`` has the same shape
         and is overwritten.
         """
         self._run(_undo_spread, light, self._undoing, output)
@@ -139,11 +141,11 @@ class PixelFilter:
 
     def finish(self, light: np.ndarray, undone: np.ndarray, denoised: np.ndarray,
                output: np.ndarray) -> None:
-        """The picture that was made of ``undone`` light, spread as the ``light`` was; all have
+        """Apply the filter to the picture that was ``denoised`` from ``undone`` light; all have
         three channels.
 
-        Undoing cannot explain all of the light, as beside a lamp. The rest is added, as far as the
-        denoised picture is as bright as the undone one there: not beside a firefly.
+        The filter does not explain all of the ``light``, as beside a lamp. The rest is added as far
+        as the denoised picture is as bright there as the undone light: not beside a firefly.
         """
         self._run(_finish_spread, light, undone, denoised, self._spreading, output)
 
@@ -156,8 +158,8 @@ class PixelFilter:
 
     @cached_property
     def _amplitude(self) -> np.ndarray:
-        """What the filter leaves of each frequency, 1 of the lowest: the root of its noise's
-        power."""
+        """The filter's amplitude at each frequency, 1 at the lowest: the root of the power of noise
+        that it filtered."""
         apart = np.arange(FREQUENCIES)
         apart = np.minimum(apart, FREQUENCIES - apart)
         power = np.fft.fft(correlation(apart, self.stddev)).real.clip(0)
@@ -178,14 +180,15 @@ class PixelFilter:
 
 
 def _weights_of(amplitude: np.ndarray, reach: int) -> np.ndarray:
-    """Weights of a pixel and of those up to ``reach`` beside it, whose sum over both sides is 1."""
+    """Weights of a pixel and of its neighbours up to ``reach`` on one side; with those of the other
+    side their sum is 1."""
     weights = np.fft.ifft(amplitude).real[:reach + 1]
     weights /= weights[0] + 2 * weights[1:].sum()
     return weights.astype(np.float32)
 
 
 def correlation(apart: np.ndarray, stddev: float | np.ndarray) -> np.ndarray:
-    """How alike the noise of pixels is that are some pixels apart, 1 if it is the same."""
+    """Correlation of the noise of pixels that are some pixels ``apart``."""
     found: np.ndarray = np.exp(-np.square(apart / (2 * np.asarray(stddev, float))))
     return found
 
@@ -193,10 +196,10 @@ def correlation(apart: np.ndarray, stddev: float | np.ndarray) -> np.ndarray:
 def find_stddev(colour: np.ndarray, planes: Mapping[Role, np.ndarray] | None = None
                 ) -> float | None:
     """The standard deviation, in pixels, of the gaussian pixel filter that spread a picture's
-    noise; None where the noise is independent, or too little of it is seen to tell.
+    noise; None if the noise is independent, or there is too little of it to tell.
 
-    Cells of the picture are compared in which there is little but noise: what changes from pixel to
-    pixel in both directions, against what does in one direction and more slowly in the other.
+    In cells of the picture that show little but noise, the power of changes from pixel to pixel in
+    both directions is compared with that of changes that are slower in one direction.
 
     Args:
         colour: (height, width, 3), light.
@@ -238,7 +241,8 @@ def _measure(colour: np.ndarray, planes: Mapping[Role, np.ndarray]) -> float | N
 
 def _noisy_cells(light: np.ndarray, sharpest: np.ndarray,
                  planes: Mapping[Role, np.ndarray]) -> np.ndarray:
-    """Cells that show noise and no texture; none if too few of those without texture do."""
+    """Marks cells that show noise and no texture; none if too few of the cells without texture show
+    noise."""
     mean = _means_of_cells(light[1:-1, 1:-1])
     lit = mean > max(LEAST_LIT * mean.max(), 0.0)
     change = np.divide(sharpest, np.square(mean), out=np.zeros_like(mean), where=lit)
@@ -268,8 +272,8 @@ def _texture(planes: Mapping[Role, np.ndarray]) -> np.ndarray | None:
 
 
 def _table() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Standard deviations in pixels; for each the power of noise that changes fastest in both
-    directions, over that in one; and the power that is slow in one, over all that is not."""
+    """Standard deviations in pixels, and two ratios of the power of noise for each: fastest in both
+    directions over fastest in one; slow in one direction over all others."""
     widths = np.linspace(LEAST_STDDEV_PX, MOST_STDDEV_PX, TABLE_SIZE)
     one, two = (correlation(np.asarray(apart), widths) for apart in (1, 2))
     sharpest, sharp, smooth = 6 - 8 * one + 2 * two, 2 - 2 * two, 6 + 8 * one + 2 * two

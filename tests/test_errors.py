@@ -85,7 +85,9 @@ def test_values_of_other_types_are_refused_in_one_line(kind: str, tmp_path: Path
     {"exposure": 1}, {"number": np.int64(3)}, {"world_to_camera": list(range(16))},
     {"world_to_camera": np.eye(4, dtype=np.float32)}])
 def test_numbers_of_any_type_are_taken(fields: dict):
-    Frame({"colour": PICTURE}, **fields)
+    frame = Frame({"colour": PICTURE}, **fields)
+    for name, given in fields.items():
+        np.testing.assert_array_equal(np.ravel(getattr(frame, name)), np.ravel(given))
 
 
 def test_no_error_for_users_is_defined_elsewhere():

@@ -31,8 +31,15 @@ from torch import nn
 from torch.nn import functional as F
 
 WIDTHS = (48, 64, 96, 104)
-BANDS, BOX_BANDS, WAY_BANDS = 6, 5, 4
+"""Channels of the U-Net's levels, from the finest one on."""
+BANDS = 6
+"""Pairs of waves (`waves`) of a pixel's place."""
+BOX_BANDS = 5
+"""The same, of the place where the mirrored ray leaves the scene's box."""
+WAY_BANDS = 4
+"""The same, of the mirrored ray's direction."""
 EMITTER = 0.005
+"""Reflectance below which a surface counts as an emitter."""
 BRIGHT = 4.0
 """Light whose code is near white, 0.9."""
 INPUTS = ("diffuse_albedo", "specular_albedo", "normal", "roughness", "depth", "camera")
@@ -156,8 +163,8 @@ class SceneNetwork(nn.Module):
         roughness = x["roughness"]
         albedo = torch.cat([x["diffuse_albedo"], x["specular_albedo"]], 1)
         parts = [place, waves(place, BANDS), waves(leaves, BOX_BANDS), waves(mirrored, WAY_BANDS),
-                 leaves, normal,
-                 mirrored, albedo, roughness, hit, torch.log1p(x["depth"].clamp(max=1e3)) / 3,
+                 leaves, normal, mirrored, albedo, roughness, hit,
+                 torch.log1p(x["depth"].clamp(max=1e3)) / 3,
                  x["camera"][:, 14:16, None, None].expand(-1, -1, *ray.shape[2:])]
         return torch.cat(parts, 1), place
 
@@ -405,71 +412,109 @@ def steps_of(seconds: float, most: int) -> Iterator[tuple[int, float]]:
             torch.cuda.synchronize()
 
 
+class Trainer:
+    """Trains a network by Adam on crops of views, and averages its weights.
+
+    On a GPU, steps from the fourth on replay a CUDA graph. So all that changes from step to step
+    stands in tensors that are made once: what is drawn, the rate, and the weight of the average.
+
+    Attributes:
+        batch: crops a step.
+        began: when steps began that take their usual time, of `time.monotonic`.
+    """
+
+    def __init__(self, network: SceneNetwork, views: Views, args: argparse.Namespace,
+                 rate: float) -> None:
+        self._network, self._views = network, views
+        device, self._on_gpu = views.device, views.device == "cuda"
+        network.to(device, memory_format=torch.channels_last).train()
+        if args.compile:
+            network.compile()
+        height, width = min(args.crop, views.height), min(args.crop, views.width)
+        self._size = height, width
+        self._frames = views.frames if network.kind == "temporal" else 1
+        self.batch = max(1, args.batch // (2 if self._frames > 1 else 1))
+        self._limits = (views.count, views.height - height + 1, views.width - width + 1,
+                        views.colours)
+        self._random = torch.Generator().manual_seed(0)
+        self._picked = torch.zeros(self.batch, 4, dtype=torch.int64, device=device)
+        self._begins = torch.zeros(self.batch, device=device)
+        self._rate = torch.tensor(rate, device=device)
+        self._newest = torch.ones((), device=device)
+        self._adam = torch.optim.AdamW(network.parameters(), lr=self._rate, betas=(0.9, 0.99),
+                                       weight_decay=1e-4, capturable=self._on_gpu, fused=True)
+        self._mean = {name: value.detach().clone() for name, value in network.named_parameters()}
+        self._graph: torch.cuda.CUDAGraph | None = None
+        self._loss = torch.zeros(())
+        self._done = 0
+        self.began = time.monotonic()
+
+    def step(self, rate: float) -> torch.Tensor:
+        """Change the weights by new crops, at this rate; returns the loss."""
+        self._rate.fill_(rate)
+        self._newest.fill_(max(0.002, 10 / (self._done + 10)))
+        self._draw()
+        if self._graph:
+            self._graph.replay()
+        elif not self._on_gpu or self._done < 3:
+            self._loss = self._change_weights()
+        else:
+            self._capture()
+        self._done += 1
+        return self._loss
+
+    def take_mean(self) -> None:
+        """Give the network the average of its weights."""
+        with torch.no_grad():
+            for name, value in self._network.named_parameters():
+                value.copy_(self._mean[name])
+
+    def _draw(self) -> None:
+        """Choose the crops, and before which frame each has no history."""
+        chosen = [torch.randint(most, (self.batch,), generator=self._random)
+                  for most in self._limits]
+        self._picked.copy_(torch.stack(chosen, 1), non_blocking=True)
+        begins = torch.randint(0, self._views.frames, (self.batch,), generator=self._random)
+        self._begins.copy_(begins, non_blocking=True)
+
+    def _change_weights(self) -> torch.Tensor:
+        self._adam.zero_grad(set_to_none=False)
+        crops = self._views.crops(self._picked, self._size, self._frames)
+        loss = loss_of(self._network, crops, self._begins)
+        loss.backward()
+        nn.utils.clip_grad_norm_(self._network.parameters(), 1.0)
+        self._adam.step()
+        for name, value in self._network.named_parameters():
+            self._mean[name].lerp_(value.detach(), self._newest)
+        return loss.detach()
+
+    def _capture(self) -> None:
+        """Record the graph, after one more step on a stream of its own, as PyTorch asks for."""
+        self._graph, side = torch.cuda.CUDAGraph(), torch.cuda.Stream()
+        side.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(side):
+            self._change_weights()
+        torch.cuda.current_stream().wait_stream(side)
+        with torch.cuda.graph(self._graph):
+            self._loss = self._change_weights()
+        self.began = time.monotonic()
+
+
 def fit(network: SceneNetwork, views: Views, args: argparse.Namespace, seconds: float,
         rate: float) -> SceneNetwork:
     """Train with Adam at a rate that falls by half a cosine; returns the network with averaged
     weights."""
-    device, cuda = views.device, views.device == "cuda"
-    network.to(device, memory_format=torch.channels_last).train()
-    if args.compile:
-        network.compile()
-    size = min(args.crop, views.height), min(args.crop, views.width)
-    last = views.frames if network.kind == "temporal" else 1
-    batch = max(1, args.batch // (2 if last > 1 else 1))
-    step_size = torch.tensor(rate, device=device)
-    adam = torch.optim.AdamW(network.parameters(), lr=step_size, betas=(0.9, 0.99),
-                             weight_decay=1e-4, capturable=cuda, fused=True)
-    random = torch.Generator().manual_seed(0)
-    limits = (views.count, views.height - size[0] + 1, views.width - size[1] + 1, views.colours)
-    picked = torch.zeros(batch, 4, dtype=torch.int64, device=device)
-    begins = torch.zeros(batch, device=device)
-    mean = {name: value.detach().clone() for name, value in network.named_parameters()}
-    newest = torch.ones((), device=device)
-
-    def draw() -> None:
-        chosen = torch.stack([torch.randint(most, (batch,), generator=random) for most in limits],
-                             1)
-        picked.copy_(chosen, non_blocking=True)
-        begins.copy_(torch.randint(0, views.frames, (batch,), generator=random), non_blocking=True)
-
-    def step() -> torch.Tensor:
-        adam.zero_grad(set_to_none=False)
-        loss = loss_of(network, views.crops(picked, size, last), begins)
-        loss.backward()
-        nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-        adam.step()
-        for name, value in network.named_parameters():
-            mean[name].lerp_(value.detach(), newest)
-        return loss.detach()
-
-    graph, loss, done, began = None, torch.zeros(()), 0, time.monotonic()
+    trainer, done = Trainer(network, views, args, rate), 0
     for done, passed in steps_of(seconds, args.steps):
-        step_size.fill_(rate * min(1, (done + 1) / 100) * (0.5 + 0.5 * math.cos(math.pi * passed))
-                        + 1e-6)
-        newest.fill_(max(0.002, 10 / (done + 10)))
-        draw()
-        if graph:
-            graph.replay()
-        elif not cuda or done < 3:
-            loss = step()
-        else:
-            graph, side = torch.cuda.CUDAGraph(), torch.cuda.Stream()
-            side.wait_stream(torch.cuda.current_stream())
-            with torch.cuda.stream(side):
-                step()
-            torch.cuda.current_stream().wait_stream(side)
-            with torch.cuda.graph(graph):
-                loss = step()
-            began = time.monotonic()
+        warm = min(1, (done + 1) / 100)
+        loss = trainer.step(rate * warm * (0.5 + 0.5 * math.cos(math.pi * passed)) + 1e-6)
         if done % args.report == 0:
             print(f"{network.kind} step {done}: {-10 * math.log10(float(loss)):.2f} dB, "
                   f"{passed:.0%}", flush=True)
-    print(f"{network.kind}: {done + 1} steps of {batch} crops, "
-          f"{1e3 * (time.monotonic() - began) / (done + 1):.2f} ms each, "
+    print(f"{network.kind}: {done + 1} steps of {trainer.batch} crops, "
+          f"{1e3 * (time.monotonic() - trainer.began) / (done + 1):.2f} ms each, "
           f"{sum(p.numel() for p in network.parameters())} parameters", flush=True)
-    with torch.no_grad():
-        for name, value in network.named_parameters():
-            value.copy_(mean[name])
+    trainer.take_mean()
     return network
 
 

@@ -45,8 +45,10 @@ from postfx.passes.scene_points import (
 )
 from training import irradiance
 
-BANDS, ENCODED = 4, 3
-"""Of the Fourier features, and the coordinates that have them: those of the place."""
+BANDS = 4
+"""Fourier features of a number: frequencies."""
+ENCODED = 3
+"""Numbers of a point, from the first on, that have them: its place."""
 RATE = 4e-3
 HELD_OUT = 4
 """Every so many frames one is held out."""

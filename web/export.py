@@ -31,8 +31,7 @@ from postfx.passes.denoise.models import (
     model_of,
 )
 from postfx.passes.denoise.network import FEATURE_PARTS, alike_heads, free_dimensions
-from postfx.passes.tonemap import find_model as find_look
-from postfx.passes.tonemap import shaper
+from postfx.passes.tonemap import find_tone_mapper, shaper
 from postfx.runtime import Device
 from postfx.system import models_dir
 
@@ -245,7 +244,7 @@ def save_denoiser(path: Path, tag: str, scale: int) -> None:
 def save_look(path: Path, tag: str) -> None:
     """Write a look: scene-linear colour (h, w, 3) and an exposure (1,) in, sRGB code values from 0
     to 1 out."""
-    graph, (library, model) = Graph(), find_look(tag)
+    graph, (library, model) = Graph(), find_tone_mapper(tag)
     cube = graph.call(models_dir() / f"{model}.onnx")["cube"]
     shape = shaper(library, model)
     params = graph.op("Concat", "exposure", graph.constant([shape.toe, shape.scale], np.float32),

@@ -30,7 +30,7 @@ from postfx.frame import ALBEDOS, Frame, Role
 from postfx.interpolate.blend import (
     Mixture,
     Pair,
-    Planes,
+    PairPlanes,
     compose,
     join_cells,
     split_planes,
@@ -58,7 +58,7 @@ from postfx.interpolate.pictures import PairPictures, finite
 from postfx.interpolate.shares import (
     BY_MEAN,
     BY_VECTORS,
-    Row,
+    Neighbours,
     Shares,
     shares_beside_vectors,
     shares_without_vectors,
@@ -298,13 +298,14 @@ class Between:
         if not all(picture.any() for picture in self._pictures.scene):
             return BY_MEAN
         if motion.fit is not None:
-            return shares_beside_vectors(motion.fit, self._row, motion.vectors_px,
+            return shares_beside_vectors(motion.fit, self._neighbours, motion.vectors_px,
                                          self._both_have(Role.DEPTH), self._find_flow_alone)
         if Role.MOTION in self.after or not self._flow:
             return BY_VECTORS
         flow = motion.estimated_back
         fit = compare_motion(*self._pictures.small, flow, flow)
-        return shares_without_vectors(fit, self._row, np.float32(self._pictures.scale) * flow)
+        scale = np.float32(self._pictures.scale)
+        return shares_without_vectors(fit, self._neighbours, scale * flow)
 
     @cached_property
     def _without_vectors(self) -> Between:
@@ -318,11 +319,11 @@ class Between:
         return found
 
     @cached_property
-    def _row(self) -> Row:
+    def _neighbours(self) -> Neighbours:
         """The colours of the frames around."""
         colours = [frame[Role.COLOUR] for frame in self._frames_around]
         first = self._frames_around.index(self.before)
-        return Row(colours, first, float(self._pictures.level))
+        return Neighbours(colours, first, float(self._pictures.level))
 
     @cached_property
     def _frames_around(self) -> list[Frame]:
@@ -389,7 +390,7 @@ class Between:
         # times 0, t and 1
         back = (previous - t) * (previous - 1) / t, previous * (previous - t) / (1 - t)
         motion, own = self._motion, self._pictures
-        planes = Planes(pictures or own.lit(t), motion.known, motion.depths, light, data)
+        planes = PairPlanes(pictures or own.lit(t), motion.known, motion.depths, light, data)
         mixture = Mixture(t, own.scale, float(own.level), motion.is_masked, back)
         picture, mixed, taken, vectors = compose(chosen.cells, planes, mixture,
                                                  Role.MOTION in self.after)

@@ -1,10 +1,10 @@
-"""The picture that the paths make, of planes of both frames.
+"""The picture of a time between two frames, made of their planes along the chosen paths.
 
-Each pixel is taken from both frames, by time, or from the one that shows its point. Where the four
-cells around it follow one path, that is interpolated between them; else the pixel is the mean over
-their paths (overlapped block motion compensation; Orchard and Sullivan 1994). The cubics by which
-pictures are sampled keep detail where both frames show the same, and average over noise where they
-do not.
+Each pixel is taken from both frames, weighted by time, or from the one that shows its point. Where
+the four cells around it follow one path, the path is interpolated between them; elsewhere the pixel
+is the mean over their paths (overlapped block motion compensation; Orchard and Sullivan 1994).
+Pictures are sampled by cubics, which keep detail where both frames show the same, and average over
+noise where they do not.
 
 Cells are (rows, columns, 8) float32: a path as in `choose`, the share k of its detail that both
 frames show, and 0.
@@ -28,25 +28,26 @@ LEAST = np.float32(1e-4)
 LITTLE = np.float32(1e-3)
 """Weight below which a frame does not count."""
 
-# Relative difference of both frames, squared, from which a path counts less beside others; what
-# stands for it where only one frame shows a point; light below which nothing counts.
 ALIKE = np.float32(0.05**2)
+"""Squared relative difference of both frames from which a path counts less beside others."""
 UNSURE = np.float32(0.2)
+"""Value that stands for it where only one frame shows a point."""
 TINY = np.float32(1e-6)
+"""Light below which nothing counts."""
 
-# Relative difference in depth of two surfaces, and what is left of the share of a path that is
-# hidden by another.
 NEARER = np.float32(0.1)
+"""Relative difference in depth from which two paths are of two surfaces."""
 HIDDEN = np.float32(0.2)
+"""Share that a path keeps if another one hides it."""
 
 CRISP = np.float32(0.97)
-"""Share of detail that both frames show from which a cell keeps all of it, up to the middles of
-those beside: light does not leak over an edge."""
+"""Share of detail that both frames show, from which a cell keeps all of it, up to the middles of
+its neighbours: light does not leak over an edge."""
 
-# How many times as bright as in the other frame something is that only one of them shows, and the
-# share of the middle light, summed over channels, that counts as dark there.
 ELSE = np.float32(100)
+"""How many times brighter a place is in one frame than in the other if only one shows it."""
 DARK = np.float32(0.05)
+"""Light over the middle light, summed over channels, up to which a place counts as dark there."""
 
 Pair: TypeAlias = tuple[np.ndarray, np.ndarray]
 """A plane of both frames."""
@@ -80,7 +81,7 @@ def join_cells(cells: np.ndarray) -> None:
 
 
 @dataclass(frozen=True)
-class Planes:
+class PairPlanes:
     """Planes of both frames, of which the ones between are made.
 
     Attributes:
@@ -107,8 +108,8 @@ class Mixture:
         scale: pixels of a cell.
         level: light in the middle between dark and bright.
         masked: whether anything is not known.
-        back: how much motion is of what leads to the frame before, and of what leads to the one
-            after.
+        back: weights of the ways to the frame before and to the one after, whose sum is the
+            motion.
     """
 
     time: float
@@ -118,7 +119,7 @@ class Mixture:
     back: tuple[float, float]
 
 
-def compose(cells: np.ndarray, planes: Planes, mixture: Mixture,
+def compose(cells: np.ndarray, planes: PairPlanes, mixture: Mixture,
             has_motion: bool) -> tuple[np.ndarray, ...]:
     """The planes between: colour (h, w, 3), light (h, w, n), data (h, w, m), and motion (h, w, 2)
     in pixels, which is empty where it is not asked for.

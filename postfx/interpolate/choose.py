@@ -1,14 +1,14 @@
-"""Which path shows what is at a cell between two frames.
+"""Which of the paths that meet at a cell, between two frames, shows what is there.
 
 Cells are squares of pixels. `choose_paths` compares what a path shows in both frames, over 8x6
 pixels of toned grey pictures around a cell. A cell keeps the path that arrived at it unless a
-neighbour's, or the flow's, agrees much better: edges of planes are coarse, averaged over samples or
-noisy. A path that only one frame shows cannot be compared; it counts as a fair match, for it is
-there by geometry.
+neighbour's path, or the flow's, agrees much better: edges of planes are coarse, averaged over
+samples, or noisy. A path that only one frame shows cannot be compared. It counts as a fair match,
+as geometry says that it is there.
 
-Fields of paths are (rows, columns, 6) float32: in pixels of the pictures from the cell to its place
-in the frame before (x, y) and in the one after (x, y), and whether each of the two shows the point,
-0 or 1. NaN: no path.
+Fields of paths are (rows, columns, 6) float32: from the cell to its place in the frame before (x,
+y) and in the one after (x, y), in pixels of the pictures, and whether each of the two shows the
+point, 0 or 1. NaN: no path.
 """
 
 from __future__ import annotations
@@ -31,45 +31,47 @@ ROWS = 6
 OTHER = np.float32(0.3)
 """Pixels by which paths must differ to be worth a comparison."""
 BETTER = np.float32(1.5)
-"""How many times as well another path must fit to be taken; one of a cell beside, by the misfit of
-noise more."""
+"""How many times better another path must fit to be taken. A neighbour's must also be better by the
+misfit of noise."""
 
-# Pixels below which a path stands still, and how much better another one must fit than that: it
-# is compared between pixels, where noise is averaged.
 STILL = np.float32(0.01)
+"""Length of a path, in pixels, below which it stands still."""
 BETTER_STILL = np.float32(4)
+"""How many times better another path must fit than one that stands still: others are compared
+between pixels, where noise is averaged."""
 
-# What stands for the misfit of a path that cannot be compared: a part that is fixed, and a
-# multiple of the noise's.
+# Misfit that a path counts with if it cannot be compared: the sum of both.
 UNSEEN = np.float32(0.12)
+"""A part that is fixed."""
 UNSEEN_NOISE = np.float32(2)
+"""A multiple of the misfit of noise."""
 
 TRUSTED = np.float32(0.5)
-"""Share of that misfit below which a path that was thought unseen is seen after all."""
+"""Share of that misfit below which a path that seemed hidden is seen after all."""
 
-# Change of the way from frame to frame along a pixel from which windows show different things,
-# and pixels by which it may be uneven from cell to cell.
 TWIST = np.float32(0.15)
+"""Change of the way from pixel to pixel from which windows in both frames show different things."""
 EVEN = np.float32(0.5)
+"""Pixels by which that change may differ from cell to cell."""
 
 BEFORE = np.float32(0.85)
-"""Share of the depth of what lies behind a thing that keeps its cell if both frames show it
-there."""
+"""Depth of a thing over that of the background, up to which the thing keeps its cell if both frames
+show it there."""
 ONE_THING = np.float32(0.7)
-"""Share of the difference to what lies behind it up to which a thing in front may differ from frame
-to frame."""
+"""How much a thing in front may differ from frame to frame, as a share of its difference to the
+background."""
 MOSTLY = np.float32(0.4)
-"""Share of detail from which what stands still is left as it is."""
+"""Share of detail from which a cell that stands still keeps its path."""
 APART = np.float32(0.15)
-"""Misfit from which what stands still must be something else."""
+"""Misfit from which a cell that stands still must show something else."""
 JOINED = np.float32(0.6)
-"""Pixels by which paths of cells beside each other may differ for there to be others between
-them."""
+"""Pixels by which paths of neighbouring cells may differ for pixels between them to have paths
+between theirs."""
 
-# The same where paths change evenly from cell to cell, and how much that change itself may
-# change.
 TURNING = np.float32(3)
+"""The same where paths change evenly from cell to cell."""
 SMOOTH = np.float32(0.25)
+"""How much that change may itself change, in pixels."""
 
 RED = np.float32(0.2126)
 GREEN = np.float32(0.7152)
@@ -79,15 +81,13 @@ LUMINANCE = np.array([RED, GREEN, BLUE])
 TAPER = (0.25, 0.75, 1.0, 1.0, 1.0, 1.0, 0.75, 0.25)
 """Weights of the eight pixels of a row."""
 
-# Slopes that are summed up in a window, and the square of a slope that noise makes at most, in
-# squares of the noise: even noise of Gauss makes pi between pixels. What differs by more is no
-# noise.
 SLOPES = np.float32((2 * ROWS - 1) * sum(TAPER))
+"""Sum of the weights of the slopes in a window."""
 MOST_NOISE = np.float32(4)
-
+"""Square of a slope over the square of the noise, above which it is no noise. Gaussian noise makes
+pi between pixels."""
 COUNT = np.float32(ROWS * sum(TAPER))
-
-
+"""Sum of the weights of the pixels in a window."""
 
 # Kernels: postfx/kernels/interpolate/choose.cpp
 
@@ -155,16 +155,17 @@ class Flows:
 
 
 def merge_sides(arrived: Arrived, scale: int) -> np.ndarray:
-    """The nearer path of both sides at each cell (rows, columns, 8), or their mean where they are
-    alike; NaN without. The last two numbers are left. scale: pixels of a cell."""
+    """The nearer of the paths of both sides at each cell (rows, columns, 8), or their mean where
+    they are alike; NaN without. The last two numbers are not set. scale: pixels of a cell."""
     own = new_array(arrived.before.shape)
     in_bands(len(own), _merge.bind((*arrived.planes, np.array([scale], np.float32), own)))
     return own
 
 
 def measure_change(arrived: Arrived, scale: int, own: np.ndarray) -> None:
-    """How much both sides' paths differ from a cell's own one, and that from those to the right and
-    below, in pixels: its last two numbers. own: (rows, columns, 8)."""
+    """Measure, in pixels, how much the paths of both sides differ from a cell's own one, and how
+    much that one differs from those to the right and below: the last two numbers of `own` (rows,
+    columns, 8)."""
     in_bands(len(own),
              _change.bind((arrived.before, arrived.after, np.array([scale], np.float32), own)))
 
@@ -190,17 +191,17 @@ def choose_paths(toned: Toned, own: np.ndarray, arrived: Arrived, flows: Flows,
 
 
 def measure_detail(toned: Toned, noise: float, cells: np.ndarray) -> None:
-    """How sharp the pictures are at cells (rows, columns, 8), which are joined, measured once for
-    two by two that follow one path: the last but one of their numbers, 0 to 1. noise: misfit of
-    paths that are right."""
+    """Measure how sharp the pictures are at cells (rows, columns, 8), 0 to 1: the last but one of
+    their numbers. Two by two cells that follow one path are measured once, so cells must be joined
+    before (`blend.join_cells`). noise: misfit of paths that are right."""
     planes = (toned.before, toned.after, toned.known_before, toned.known_before)
     in_bands(len(cells),
              _detail.bind((*planes, np.array((0, toned.scale, noise), np.float32), cells)))
 
 
 def measure_misfits(toned: Toned, side: Paths) -> np.ndarray:
-    """Misfit of one of 4x4 cells of the frame after, whose paths these are, that the frame before
-    shows too; -1 elsewhere."""
+    """Misfit of the paths of one in 4x4 cells, (rows / 4, columns / 4); -1 where the other frame
+    does not show the point. side: paths of the frame after."""
     found = np.empty([length // 4 for length in side.seen.shape], np.float32)
     _misfits(0, len(found), *toned.planes, side.ends, side.seen,
              np.array([toned.scale], np.float32), found)

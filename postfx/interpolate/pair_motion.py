@@ -26,8 +26,8 @@ from postfx.interpolate.paths import (
     refine,
 )
 from postfx.interpolate.pictures import PairPictures, finite
-from postfx.interpolate.thin import Seen, where_flow_is_right
-from postfx.interpolate.ways import Fit, compare_motion
+from postfx.interpolate.thin import ThinInputs, where_flow_is_right
+from postfx.interpolate.ways import MotionFit, compare_motion
 from postfx.motion.flow import consistent_motion, enlarge_motion, estimate_motion, halve
 from postfx.system import at_once
 from postfx.temporal.reverse_motion import LOST, invert_motion
@@ -92,7 +92,7 @@ class PairMotion:
         return inverted if is_better else back
 
     @cached_property
-    def fit(self) -> Fit | None:
+    def fit(self) -> MotionFit | None:
         """How well vectors and estimated motion explain the pictures; None if there is only one of
         the two."""
         if Role.MOTION not in self.after or not self._flow:
@@ -148,7 +148,7 @@ class PairMotion:
             return None
         motion, depth = self.cells_of(self.after)
         depths = self.cells_of(self.before)[1], depth
-        seen = Seen(pictures.lit(0.5), float(pictures.level), self.after[Role.DEPTH], motion,
+        seen = ThinInputs(pictures.lit(0.5), float(pictures.level), self.after[Role.DEPTH], motion,
                     depths, pictures.scale)
         found = where_flow_is_right(seen, self._enlarge(self._estimated[0]), self.estimated_back,
                                     fit.apart)

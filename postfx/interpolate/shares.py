@@ -30,7 +30,7 @@ from postfx.interpolate.ways import (
     MORE_EVEN,
     MOSTLY_NOISE,
     REST_HANDICAP,
-    Fit,
+    MotionFit,
     shares_of,
     unevenness,
 )
@@ -57,8 +57,8 @@ BY_FLOW = Shares(flow=1.0)
 BY_MEAN = Shares(mean=1.0)
 
 
-class Row:
-    """The frames around a time in a row: the two beside it, and perhaps one on either side.
+class Neighbours:
+    """Successive frames around a time: the two beside it, and perhaps one more on either side.
 
     Args:
         colours: (h, w, 3) of two to four frames.
@@ -80,11 +80,11 @@ class Row:
         return unevenness(self._colours, self._first, way, self._level, shot, alone, rows)
 
     def unevenness_over_blend(self, way: np.ndarray) -> float:
-        """How unevenly colours go on along a way (rows, columns, 2), over how they do at the same
-        place: about 1 and more where another shot comes in.
+        """How unevenly colours change along a way (rows, columns, 2), as a multiple of how unevenly
+        they change at one place: about 1 or more where another shot is blended in.
 
-        Only what cells beside each other have in common counts. Where noise is most of all, which
-        is as uneven along every way, nothing can be told: then it is 0.
+        Only changes that neighbouring cells share count. Noise is equally uneven along every way:
+        if most of the change is noise, nothing can be told, and the result is 0.
         """
         measure = partial(self.unevenness, rows=DOUBTING_ROWS)
         along = measure(way, alone=0.0)
@@ -93,50 +93,52 @@ class Row:
         return 0.0 if is_noise else worse
 
 
-def shares_beside_vectors(fit: Fit, row: Row, vectors: np.ndarray, has_depth: bool,
+def shares_beside_vectors(fit: MotionFit, around: Neighbours, vectors: np.ndarray, has_depth: bool,
                           find_flow: Callable[[], np.ndarray]) -> Shares:
     """The shares where the frame after has vectors, and motion was estimated beside them.
 
     Args:
         fit: how well both explain the two frames.
-        row: the frames around.
+        around: the frames around the time.
         vectors: (rows, columns, 2) of cells, in pixels.
         has_depth: whether both frames have depth.
         find_flow: makes the motion that is estimated without any vectors, like them; it takes long.
     """
     if fit.vectors_fit and fit.is_thin:
-        along_vectors, along_flow = fit.shares_of_thin(row.count)
+        along_vectors, along_flow = fit.shares_of_thin(around.count)
         return Shares(along_vectors, along_flow)
     if not fit.vectors_fit and fit.is_thin_along_flow:
         return BY_FLOW
-    doubt = row.unevenness_over_blend(vectors) if fit.vectors_explain_little(row.count) else 0.0
+    doubt = 0.0
+    if fit.vectors_explain_little(around.count):
+        doubt = around.unevenness_over_blend(vectors)
     shows_blend = fit.vectors_stand_still and doubt <= MORE_EVEN
     if shows_blend:  # light may change, and goes on through four frames
-        is_certain = has_depth or (fit.vectors_fit and row.count == 2)
+        is_certain = has_depth or (fit.vectors_fit and around.count == 2)
     else:
-        is_doubted = doubt > (AS_EVEN_ALONE if row.count == 2 else AS_EVEN)
+        is_doubted = doubt > (AS_EVEN_ALONE if around.count == 2 else AS_EVEN)
         is_certain = fit.vectors_fit and not (fit.in_doubt or is_doubted)
     if is_certain:
         return BY_VECTORS
-    return _shares_by_unevenness(fit, row, vectors, find_flow(), shows_blend)
+    return _shares_by_unevenness(fit, around, vectors, find_flow(), shows_blend)
 
 
-def _shares_by_unevenness(fit: Fit, row: Row, vectors: np.ndarray, flow: np.ndarray,
+def _shares_by_unevenness(fit: MotionFit, around: Neighbours, vectors: np.ndarray, flow: np.ndarray,
                           shows_blend: bool) -> Shares:
     """The shares by how evenly colours go on along each way.
 
     Args:
-        fit, row, vectors: as in `shares_beside_vectors`.
+        fit, around, vectors: as in `shares_beside_vectors`.
         flow: motion that is estimated without any vectors, (rows, columns, 2) of cells, in pixels.
         shows_blend: whether the picture along the vectors is a blend, and no worse than one.
     """
-    flowing = FLOW_HANDICAP * row.unevenness(flow)
-    mean = row.unevenness(np.zeros_like(flow))
+    flowing = FLOW_HANDICAP * around.unevenness(flow)
+    mean = around.unevenness(np.zeros_like(flow))
     over_shot = given = math.inf
-    if row.count == 4:
-        over_shot = REST_HANDICAP * row.unevenness(flow, shot=vectors)
+    if around.count == 4:
+        over_shot = REST_HANDICAP * around.unevenness(flow, shot=vectors)
     if fit.vectors_fit:
-        given = row.unevenness(vectors)
+        given = around.unevenness(vectors)
     if fit.vectors_fit and shows_blend:
         if min(flowing, over_shot) > CLEARLY_BETTER * given:
             return BY_VECTORS
@@ -144,20 +146,20 @@ def _shares_by_unevenness(fit: Fit, row: Row, vectors: np.ndarray, flow: np.ndar
     return Shares(*shares_of((given, flowing, mean, over_shot)))
 
 
-def shares_without_vectors(fit: Fit | None, row: Row, flow: np.ndarray) -> Shares:
+def shares_without_vectors(fit: MotionFit | None, around: Neighbours, flow: np.ndarray) -> Shares:
     """The shares where there are no vectors. Estimated motion alone counts, unless it explains
     little and colours go on about as evenly at the same place.
 
     Args:
         fit: how well estimated motion explains the frames, in place of vectors, too.
-        row: the frames around.
+        around: the frames around the time.
         flow: estimated motion (rows, columns, 2) of cells, in pixels.
     """
     if fit is None or fit.is_thin_along_flow:
         return BY_VECTORS
     if fit.flow < LEAST_LEFT_OF_FLOW * fit.still:
         return BY_VECTORS
-    if row.unevenness_over_blend(flow) <= LESS_EVEN_THAN_FLOW:
+    if around.unevenness_over_blend(flow) <= LESS_EVEN_THAN_FLOW:
         return BY_VECTORS
-    flowing, mean = shares_of((row.unevenness(flow), row.unevenness(np.zeros_like(flow))))
+    flowing, mean = shares_of((around.unevenness(flow), around.unevenness(np.zeros_like(flow))))
     return Shares(vectors=flowing, mean=mean)

@@ -1,5 +1,5 @@
-"""Thin things whose vectors lead nowhere right, where estimated motion does: a wire that has (1, 1)
-for none, or its wall's vectors."""
+"""Thin things whose vectors are wrong, where estimated motion is right: a wire whose vectors are
+those of the wall behind it, or (1, 1) for "none"."""
 
 from __future__ import annotations
 
@@ -13,51 +13,54 @@ from postfx.interpolate.ways import LED_CELLS, tone_light
 from postfx.sampling import bilinear, is_inside, local_mean
 
 COMPARED_PIXELS = 1
-"""Around a pixel of a thin thing that is compared: motion seldom finds such things to a pixel."""
+"""Pixels around one of a thin thing that are compared with it: motion seldom finds such things to a
+pixel."""
 MOST_MISFIT = np.float32(0.3)
-"""Difference of toned light that counts at most."""
+"""Difference of toned light that a pixel counts with, at most."""
 SURELY_RIGHT = 0.95
-"""Misfit of vectors, in that of estimated motion, up to which they alone count."""
+"""Misfit of vectors over that of estimated motion, up to which vectors alone count."""
 SURELY_WRONG = 1.1
-"""The same, from which estimated motion alone counts: 1.01 and more of wrong ones of drawn wires.
-Right ones may have more, too, along a wire; estimated motion is as good there."""
+"""The same, from which estimated motion alone counts: 1.01 and more for wrong vectors of drawn
+wires. Right ones may have more, too, along a wire; estimated motion is as good there."""
 LEAST_MISFIT = 1e-6
 """Misfit that is divided by, at least."""
 SIDE_CELLS = 3
-"""Cells beside a thin thing where what is behind it is seen."""
-STRAIGHT, DIAGONAL = ((0, 1), (1, 0)), ((1, 1), (1, -1))
-"""Steps down and to the right to one of both sides, and across."""
+"""Distance in cells from a thin thing at which the background is seen."""
+STRAIGHT = ((0, 1), (1, 0))
+"""Steps, down and to the right, to one side of a thing, and across."""
+DIAGONAL = ((1, 1), (1, -1))
+"""The same for things that lie diagonally."""
 IN_FRONT = np.float32(0.9)
-"""Depth of a thin thing, in that behind it, at most."""
+"""Depth of a thin thing over that of the background, at most."""
 NEAREST = np.float32(1.05)
-"""Depth of pixels that are a thin thing's, in that of their cell, at most."""
+"""Depth of a thin thing's pixels over that of their cell, at most."""
 MOST_APART_SHARE = 0.3
-"""Share of the pixels at which vectors and estimated motion differ, from which other things than
-thin ones may be why: 0.42 and more in six rendered sequences, up to 0.39 of drawn wires."""
+"""Share of the pixels at which vectors and estimated motion differ, from which the reason may be
+other things than thin ones: 0.42 and more in six rendered sequences, up to 0.39 in drawn wires."""
 MORE_SURELY = 4.0
-"""How many times as large both misfits above must be then: up to 3.1 in those sequences, 6.1 and
-more of drawn wires."""
+"""How many times as large the ratios above must be then: up to 3.1 in those sequences, 6.1 and more
+in drawn wires."""
 MOST_CELLS = 64
-"""Of thin things that are compared."""
+"""Cells of thin things that are compared."""
 AROUND_CELLS = 2
-"""Cells around all that such a thing may pass, in which the picture by estimated motion counts."""
+"""Cells around the way of a thin thing in which the picture along estimated motion counts."""
 MOST_REACH_CELLS = 12
-"""Cells that it may pass."""
+"""Length of such a way in cells, at most."""
 LED_SHARE = 0.95
-"""Share of its cells that go no farther."""
+"""Share of a thing's cells that go no farther."""
 
 
 @dataclass(frozen=True)
-class Seen:
+class ThinInputs:
     """Two frames in which thin things are looked for.
 
     Attributes:
         pictures: (h, w, 3) colours of the earlier and the later frame.
         level: light that is toned to about the middle.
-        pixel_depth: (h, w, 1) of the later one.
-        motion: (rows, columns, 2) of cells of the later one to the earlier one, in cells, NaN
-            where there is none.
-        depths: (rows, columns, 1) of both frames' cells: of the pixel that is nearest.
+        pixel_depth: (h, w, 1) depth of the later frame.
+        motion: (rows, columns, 2) of the later frame's cells to the earlier frame, in cells; NaN
+            without vectors.
+        depths: (rows, columns, 1) of both frames' cells: depth of the nearest pixel.
         scale: pixels of a cell.
     """
 
@@ -69,10 +72,10 @@ class Seen:
     scale: int
 
 
-def where_flow_is_right(seen: Seen, ahead: np.ndarray, back: np.ndarray,
+def where_flow_is_right(seen: ThinInputs, ahead: np.ndarray, back: np.ndarray,
                         apart: float) -> np.ndarray | None:
-    """How much the picture by estimated motion counts in place of that by vectors, (rows, columns)
-    in [0, 1]; None where it nowhere does, or there is nothing thin.
+    """How much the picture along estimated motion counts in place of the one along vectors, (rows,
+    columns) in [0, 1]; None if it counts nowhere, or nothing is thin.
 
     ahead, back: estimated motion (rows, columns, 2) of the earlier and of the later frame to the
     other one, in cells. apart: share of the pixels at which vectors and `back` differ.
@@ -93,9 +96,9 @@ def where_flow_is_right(seen: Seen, ahead: np.ndarray, back: np.ndarray,
     return np.float32(share) * local_mean(near, AROUND_CELLS)[..., 0]
 
 
-def _misfit_of_vectors(seen: Seen, back: np.ndarray, thin: np.ndarray) -> float:
-    """How well thin things, whose cells are given, fit along vectors: their misfit in that of
-    estimated motion. 0 where nothing tells."""
+def _misfit_of_vectors(seen: ThinInputs, back: np.ndarray, thin: np.ndarray) -> float:
+    """Misfit of thin things along vectors over that along estimated motion; 0 if nothing tells.
+    thin: marks their cells."""
     y, x = _pixels_of(seen, thin)
     cells = y // seen.scale, x // seen.scale
     before, after = seen.pictures
@@ -112,8 +115,8 @@ def _misfit_of_vectors(seen: Seen, back: np.ndarray, thin: np.ndarray) -> float:
     return worse
 
 
-def _pixels_of(seen: Seen, thin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of the pixels of thin things, which are nearer than others of their
+def _pixels_of(seen: ThinInputs, thin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of the pixels of thin things: those that are nearer than others of their
     cells."""
     scale, (h, w) = seen.scale, seen.pixel_depth.shape[:2]
     rows, columns = np.nonzero(thin)
@@ -138,9 +141,9 @@ def _around(picture: np.ndarray, x: np.ndarray, y: np.ndarray, level: float) -> 
     return mean
 
 
-def _moving_thin(seen: Seen) -> np.ndarray:
-    """Cells (rows, columns) of thin things, but for those that stand still by vectors and by depth:
-    there light may change, which estimated motion follows."""
+def _moving_thin(seen: ThinInputs) -> np.ndarray:
+    """Marks cells (rows, columns) of thin things, except those that stand still by vectors and by
+    depth: estimated motion may follow a change of light there."""
     was, now = (depth[..., 0] for depth in seen.depths)
     thin = _is_thin(now)
     one, other = was[thin], now[thin]
@@ -151,8 +154,9 @@ def _moving_thin(seen: Seen) -> np.ndarray:
 
 
 def _is_thin(depth: np.ndarray) -> np.ndarray:
-    """Cells (rows, columns) in front of what is on both sides of them, and across of both sides or
-    of none: at a corner or an end, where a thing is thin, too, it goes on to one side alone."""
+    """Marks cells (rows, columns) in front of the background on two opposite sides. On the other
+    two sides, background must be on both or on neither: at a corner, or at the end of a wire, it is
+    on one."""
     behind, found = IN_FRONT * np.pad(depth, SIDE_CELLS, mode="edge"), np.zeros(depth.shape, bool)
     rows, columns = depth.shape
 

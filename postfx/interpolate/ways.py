@@ -121,7 +121,7 @@ LEAST_UNEVEN = 1e-5
 
 
 @dataclass(frozen=True)
-class Fit:
+class MotionFit:
     """How well vectors, flow and standing still explain two pictures, over the pixels that vectors
     and flow lead into the earlier one.
 
@@ -207,7 +207,7 @@ class Fit:
 
 
 def compare_motion(before: np.ndarray, after: np.ndarray, flow: np.ndarray,
-                   vectors: np.ndarray) -> Fit | None:
+                   vectors: np.ndarray) -> MotionFit | None:
     """Compare two grey pictures (h, w) along two fields of motion (h, w, 2) of the later one, in
     pixels, NaN where unknown. None if too few pixels lead into the earlier one."""
     step = max(2, min(after.shape) // COMPARED_ROWS)
@@ -224,7 +224,7 @@ def compare_motion(before: np.ndarray, after: np.ndarray, flow: np.ndarray,
                      for one in (fields[0] - fields[1], fields[1]))
     left = np.minimum(np.abs(other - now), MOST_APART)
     leads = np.abs(fields[1]).max(-1)[inside] > LED_CELLS
-    return Fit(*misfits, float(apart.mean()), float((apart & moving).mean()),
+    return MotionFit(*misfits, float(apart.mean()), float((apart & moving).mean()),
                 _spread(other, now), _spread(one, now),
                 float(left[leads].sum() / max(left.sum(), LEAST_UNEVEN)))
 

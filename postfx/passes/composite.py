@@ -1,8 +1,8 @@
-"""Passes that mix a plane with alpha into the colour, in scene-linear light, after denoising and
-before tone mapping.
+"""Passes that mix a plane into the colour, in scene-linear light, after denoising and before tone
+mapping.
 
-`Overlay` puts a transparency overlay over the picture; `BothWays` mixes in the result of the later
-frames.
+`Overlay` puts a transparency overlay over the picture; `BothWays` mixes in what the frames after
+made of it. `PartShares` keeps parts adding up to a picture that was mixed.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.denoise.parts import BALANCE
 from postfx.kernels.image import OVER, OVER_ALPHA
 from postfx.passes import Pass, Reflection, ResidentFrame
-from postfx.passes.signed_light import SignedLight, below, lies_below
+from postfx.passes.signed_light import SignedLight, has_negative_light, negative_layer
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 LATEST = 64
-"""How many of the last frames' times count."""
+"""Number of last frames whose times count."""
 NO_OVERLAY = "there is no overlay"
-"""Why nothing is composited, in nearly all shots."""
+"""The usual reason for compositing nothing."""
 
 
 class Overlay(Pass):
@@ -92,9 +92,12 @@ class Overlay(Pass):
 
 
 class PartShares:
-    """Brings parts of a picture to one that took its place: each gets the same share of it as
-    before, so that light adds up to it. `parts`: those of the denoiser, of which light of three
-    channels counts."""
+    """Brings parts to a picture that takes the place of another one: each keeps its share, so that
+    light adds up to the new picture.
+
+    Args:
+        parts: those of the denoiser. Those that are light of three channels are brought.
+    """
 
     def __init__(self, parts: Sequence[Part | str]) -> None:
         named = [Part(part) if isinstance(part, str) else part for part in parts]
@@ -121,30 +124,30 @@ class PartShares:
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame, before: Tensor,
                after: Tensor) -> None:
-        """Record the work, once the picture `after` is there, which takes the place of the one
-        `before`."""
+        """Record the work on a frame whose picture `before` is replaced by the one `after`."""
         parts = {name: part for name in self._groups
                  if (part := frame.parts.get(name)) is not None and part.shape[2] == 3}
         by_sign: dict[str, Tensor] = {}
         for name in parts:
-            if name in frame.host_parts and lies_below(frame.host_parts[name],
-                                                       frame.host_planes.get(Role.COLOUR)):
+            if name in frame.host_parts and has_negative_light(frame.host_parts[name],
+                                                               frame.host_planes.get(Role.COLOUR)):
                 by_sign |= self._signed.split(commands, name, parts[name])
         for group in dict.fromkeys(self._groups[name] for name in parts):
             of_group = [name for name in parts if self._groups[name] == group]
-            under = [by_sign[below(name)] for name in of_group if below(name) in by_sign]
-            pictures = {what: self._signed.lift(commands, f"{what} above 0 of {group}", light,
-                                                under)
+            layers = map(negative_layer, of_group)
+            negatives = [by_sign[layer] for layer in layers if layer in by_sign]
+            pictures = {what: self._signed.sum_of_positive(commands, f"{what} above 0 of {group}",
+                                                           light, negatives)
                         for what, light in (("whole", before), ("picture", after))}
             for name in of_group:
                 self._scale(commands, frame, name, by_sign.get(name, parts[name]), pictures)
                 if name in by_sign:
                     frame.parts[name] = self._signed.join(commands, name, frame.parts[name],
-                                                          by_sign[below(name)])
+                                                          by_sign[negative_layer(name)])
 
     def _scale(self, commands: CommandBuffer, frame: ResidentFrame, name: str, part: Tensor,
                pictures: Mapping[str, Tensor]) -> None:
-        """Bring a part without light below 0 from the `whole` to the `picture`."""
+        """Bring a part without negative light from the `whole` to the `picture`."""
         commands.run(BALANCE, "mix", parts=part.view(name, (1, *part.shape), 0), **pictures,
                      complete=self._none, reached=self._everywhere, balanced=self._balanced[name])
         frame.parts[name] = self._balanced[name].view(name, part.shape, 0)
@@ -159,9 +162,8 @@ class BothWays(Pass):
     shot, 1 where only later frames show it well. The plane is then removed.
 
     Options:
-        parts: those of the denoiser. They only know the earlier frames; light of three channels is
-            brought to the mixed picture, of which it gets the same share as of the picture before,
-            so that parts add up to it.
+        parts: those of the denoiser, which only knows the earlier frames. Light of three channels
+            is brought to the mixed picture: each part keeps its share, so that parts add up to it.
     """
 
     name: ClassVar[str] = "both_ways"

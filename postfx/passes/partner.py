@@ -172,8 +172,8 @@ class MixPartner(Pass):
             partner counts less, and least where that enlarges.
         both_ways: whether the denoised picture knows later frames, too.
         strength: as the denoiser's; the plane `strength` counts, too.
-        parts: those of the denoiser. Light of three channels is brought to the mixed picture, of
-            which it gets the same share as of the picture before, so that parts add up to it.
+        parts: those of the denoiser. Light of three channels is brought to the mixed picture: each
+            part keeps its share, so that parts add up to it.
     """
 
     name: ClassVar[str] = "mix_partner"

@@ -1,9 +1,9 @@
-"""Passes by networks that know light of scenes: ambient occlusion of any scene, and irradiance and
-shading of one.
+"""Passes by networks that know the light of scenes: ambient occlusion of any scene, irradiance and
+shading of one scene.
 
-Around a network of points of `scene_shading` there are kernels. Other work around the networks is
-done by the host, in `Device.host_state`, so the passes run on every device. On a GPU planes are
-copied to the host and back for it.
+Networks of points in `scene_shading` have kernels around them. All other work around the networks
+is done by the host (`Device.host_state`), so that the passes run on every device; on a GPU planes
+are copied to the host and back for it.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ from postfx.runtime import (
 from postfx.runtime.model_file import parse_model
 from postfx.system import in_bands
 
-# What they share ----------------------------------------------------------------------------------
+# Shared by all ------------------------------------------------------------------------------------
 
-class _Linear(Pass):
-    """A pass that needs light of the scene, and planes of the render."""
+class _ScenePass(Pass):
+    """A pass on scene-linear light and planes of the render."""
 
     reads_render: ClassVar[bool] = True
 
@@ -119,15 +119,16 @@ SETTINGS = np.array([0.9, 0.0], np.float32)
 """Settings of GTAO: share of the radius from which on surfaces count less, and how thin they
 are."""
 USUAL_RADIUS = 0.125
-"""Share of the median depth."""
+"""Radius as a share of the median depth, unless the option gives one."""
 USUAL_FOV = 45.0
-"""Degrees, where the file tells no field of view."""
-TO_US = np.array([-1.0, 1.0, -1.0])
-"""The camera's axes of frames point left, up and forward, the kernels' right, up and back."""
+"""Horizontal field of view in degrees, if the file tells none."""
+TO_KERNEL_AXES = np.array([-1.0, 1.0, -1.0])
+"""Signs that turn the axes of frames' cameras (left, up, forward) into the kernels' (right, up,
+back)."""
 MODEL = "occlusion"
 
 
-class Occlusion(_Linear):
+class Occlusion(_ScenePass):
     """Darkens what little light of the surroundings can reach: ambient occlusion, for renders
     without indirect light.
 
@@ -254,7 +255,7 @@ def _turn_of(frame: ResidentFrame) -> np.ndarray:
     tangent = np.tan(np.radians(frame.fov_x or USUAL_FOV) / 2)
     turn = np.zeros(9)
     if frame.world_to_camera is not None:
-        turn = (np.asarray(frame.world_to_camera)[:3, :3] * TO_US).ravel()
+        turn = (np.asarray(frame.world_to_camera)[:3, :3] * TO_KERNEL_AXES).ravel()
     return np.array([*turn, 0, tangent, tangent * height / width], np.float32)
 
 
@@ -298,7 +299,7 @@ MOST_IRRADIANCE = 1e6
 """Irradiance that a network may give at most."""
 
 
-class Irradiance(_Linear):
+class Irradiance(_ScenePass):
     """Lights surfaces by a network of one scene: colour becomes diffuse albedo times the irradiance
     of the normal / pi.
 
@@ -374,7 +375,7 @@ POINT_PLANES = ("depth", "normal", "diffuse_albedo", "specular_albedo", "colour"
 """Planes that are read around a network of points."""
 
 
-class SceneShading(_Linear):
+class SceneShading(_ScenePass):
     """Shades frames by a network that knows one scene, from their planes.
 
     A network of points sees each pixel alone; a U-Net sees its neighbours, and some kinds also read

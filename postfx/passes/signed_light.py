@@ -1,7 +1,7 @@
-"""Light of parts below 0, as of lamps that take light away: it is handled as a layer of its own.
+"""Negative light of parts, as of lamps that take light away.
 
-Filters, histories and proportions hold no light below 0. So a part that has some becomes two
-layers, what it has above 0 and what it has below, and in the end their difference.
+Filters, histories and proportions work on positive light. So a part with negative light is split
+into two layers, its positive light and the size of its negative light, and joined again in the end.
 """
 
 from __future__ import annotations
@@ -15,41 +15,47 @@ from postfx.planes import LARGEST_FLOAT
 from postfx.runtime import CommandBuffer, Device, Tensor
 from postfx.runtime.states import State
 
-LEAST_BELOW = 3e-3
-"""Share of a part's light that must lie below 0: pixel filters leave less, which is cut as in the
-picture."""
+LEAST_NEGATIVE = 3e-3
+"""Share of a part's light that must be negative for the part to be split. Pixel filters leave less,
+which is cut, as in the picture."""
 LEAST_OF_PICTURE = 1e-5
-"""Share of the picture's light that must lie below 0: a part without light has rounding alone."""
+"""Share of the picture's light that must be negative in the part: one without light has rounding
+alone."""
 ROW_STEP = 8
 """One row in so many is looked at for that."""
 
-# What light is multiplied by, before the rest is cut at 0.
-ABOVE = 1.0
-BELOW = -1.0
+# Factors of light, before it is cut at 0.
+POSITIVE = 1.0
+NEGATIVE = -1.0
 
 
-def below(name: str) -> str:
-    """Name of the layer of what a part has below 0."""
+def negative_layer(name: str) -> str:
+    """Name of the layer that holds a part's negative light."""
     return f"{name} below 0"
 
 
-def lies_below(part: np.ndarray, picture: np.ndarray | None) -> bool:
-    """Whether a part (h, w, n) has light below 0, and more of it than rounding or a pixel filter
-    leaves; `picture`: (h, w, 3), whose part it is, None where that is not known."""
+def has_negative_light(part: np.ndarray, picture: np.ndarray | None) -> bool:
+    """Whether a part (h, w, n) has negative light, and more of it than rounding or a pixel filter
+    leaves. picture: (h, w, 3), whose part it is; None where that is not known."""
     seen = part[::ROW_STEP]
     seen = seen[np.isfinite(seen)]
-    under = np.maximum(-seen, 0).sum(dtype=np.float64)
-    if under <= LEAST_BELOW * np.abs(seen).sum(dtype=np.float64):
+    negative = np.maximum(-seen, 0).sum(dtype=np.float64)
+    if negative <= LEAST_NEGATIVE * np.abs(seen).sum(dtype=np.float64):
         return False
     if picture is None:
         return True
     whole = picture[::ROW_STEP]
-    return bool(under > LEAST_OF_PICTURE * np.abs(whole[np.isfinite(whole)]).sum(dtype=np.float64))
+    light = np.abs(whole[np.isfinite(whole)]).sum(dtype=np.float64)
+    return bool(negative > LEAST_OF_PICTURE * light)
 
 
 class SignedLight:
-    """Takes light of either sign apart at one size (height, width), and puts it together again at
-    another."""
+    """Splits parts by the sign of their light, and joins them again.
+
+    Args:
+        given: height and width of the parts that are split.
+        output: height and width of the layers that are joined.
+    """
 
     def __init__(self, device: Device, given: tuple[int, int], output: tuple[int, int]) -> None:
         self._device, self._given, self._output = device, given, output
@@ -59,23 +65,23 @@ class SignedLight:
                                                         ("take off light", _subtract)))
 
     def split(self, commands: CommandBuffer, name: str, light: Tensor) -> dict[str, Tensor]:
-        """Record the work that takes a part (h, w, 3) apart: its two layers by their names, none
-        with light below 0."""
+        """Record the work that splits a part (h, w, 3); returns its two layers by their names."""
         return {layer: self._one_sign(commands, layer, light, sign)
-                for layer, sign in ((name, ABOVE), (below(name), BELOW))}
+                for layer, sign in ((name, POSITIVE), (negative_layer(name), NEGATIVE))}
 
-    def lift(self, commands: CommandBuffer, name: str, picture: Tensor,
-             under: Iterable[Tensor]) -> Tensor:
-        """Record the work that adds what parts have below 0 to a picture, so that it is the sum of
-        what they have above; `name` is the sum's."""
+    def sum_of_positive(self, commands: CommandBuffer, name: str, picture: Tensor,
+                        negatives: Iterable[Tensor]) -> Tensor:
+        """Record the work that adds the negative layers of parts to the picture that the parts add
+        up to; returns the sum of their positive layers. `name`: of the result."""
         total = picture
-        for count, light in enumerate(under, 1):
+        for count, light in enumerate(negatives, 1):
             total = self._combine(commands, self._add, f"{name}, {count} added", total, light)
         return total
 
-    def join(self, commands: CommandBuffer, name: str, above: Tensor, under: Tensor) -> Tensor:
-        """Record the work that makes a part of its two layers."""
-        return self._combine(commands, self._subtract, f"{name} of both signs", above, under)
+    def join(self, commands: CommandBuffer, name: str, positive: Tensor,
+             negative: Tensor) -> Tensor:
+        """Record the work that joins the two layers of a part; returns the part."""
+        return self._combine(commands, self._subtract, f"{name} of both signs", positive, negative)
 
     def _one_sign(self, commands: CommandBuffer, layer: str, light: Tensor, sign: float) -> Tensor:
         name = f"input of {layer}"

@@ -37,7 +37,7 @@ class Shaper(NamedTuple):
     matrix: np.ndarray
 
 
-def find_model(tag: str) -> tuple[Library, str]:
+def find_tone_mapper(tag: str) -> tuple[Library, str]:
     """The library and the name in it of a look by tag, or of a model file."""
     if tag.endswith(".onnx"):
         return Library(Path(tag).parent), Path(tag).stem
@@ -184,7 +184,7 @@ class ToneMap(Pass):
         return None if spec.encoding == "scene-linear" else f"colour is {spec.encoding} already"
 
     def compile(self, device: Device, spec: FrameSpec) -> None:
-        library, model = find_model(str(self.options["look"]))
+        library, model = find_tone_mapper(str(self.options["look"]))
         network = device.pipeline_state(library, model)
         made = {binding.name for binding in network.bindings}
         self._kind = next((kind for kind in _LOOK_KINDS if kind.made in made), None)

@@ -23,7 +23,7 @@ from postfx.io.read_options import ReadOptions
 from postfx.io.sequence import Sequence
 from postfx.io.writer import write_frame
 from postfx.masks import parse_leave
-from postfx.passes.tonemap import check_constants, find_model, shaper
+from postfx.passes.tonemap import check_constants, find_tone_mapper, shaper
 from postfx.runs.folder import About, load_checkpoint, read_about, save_checkpoint
 from postfx.runs.locks import Process, is_alive
 from postfx.runs.manifest import MANIFEST_NAME, Manifest, Output, verify
@@ -147,7 +147,7 @@ def look(content: bytes) -> None:
     (FOLDER / "looks").mkdir(exist_ok=True)
     (FOLDER / "looks/toy.json").write_bytes(card)
     (FOLDER / "looks/toy.onnx").write_bytes(network)
-    library, name = find_model(str(FOLDER / "looks/toy.onnx"))
+    library, name = find_tone_mapper(str(FOLDER / "looks/toy.onnx"))
     shaper(library, name)
     state = _device().pipeline_state(library, name)
     check_constants(name, state.constants,

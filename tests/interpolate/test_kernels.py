@@ -88,7 +88,7 @@ def composed(cells: np.ndarray, pictures: blend.Pair, depth: blend.Pair | None =
     size = pictures[0].shape[:2]
     known, nothing = np.ones(size, bool), np.empty((*size, 0), np.float32)
     none = np.empty((0, 0, 1), np.float32)
-    planes = blend.Planes(pictures, (known, known), depth or (none, none), (nothing, nothing),
+    planes = blend.PairPlanes(pictures, (known, known), depth or (none, none), (nothing, nothing),
                           (nothing, nothing))
     return blend.compose(cells, planes, blend.Mixture(t, scale, 1.0, False, (0.0, 0.0)), False)[0]
 

@@ -11,7 +11,7 @@ import pytest
 from postfx.frame import GUIDE_ROLES, Frame, Role
 from postfx.passes.denoise.assembly import FrameNetworks
 from postfx.passes.denoise.history import History, Turn
-from postfx.passes.denoise.window import Work
+from postfx.passes.denoise.window import FrameWork
 from postfx.runtime import CommandBuffer, Tensor
 
 PLANES = (Role.COLOUR, Role.DEPTH, Role.MOTION, Role.NORMAL, Role.DIFFUSE_ALBEDO,
@@ -61,7 +61,7 @@ def watch_histories(monkeypatch: pytest.MonkeyPatch) -> list[list[Any]]:
     kept: list[list[Any]] = []
     encode, turn = FrameNetworks.encode, History.turn
 
-    def begin(frames: FrameNetworks, commands: CommandBuffer, planes: Any, work: Work,
+    def begin(frames: FrameNetworks, commands: CommandBuffer, planes: Any, work: FrameWork,
               *rest: Any) -> Tensor:
         kept.append([work.model, frames._history.next["next_state"].download()])
         return encode(frames, commands, planes, work, *rest)

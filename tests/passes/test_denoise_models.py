@@ -16,7 +16,7 @@ from postfx.frame import FrameSpec, Role
 from postfx.kernels import Kernel
 from postfx.kernels import denoise as kernels
 from postfx.passes.denoise import DenoiseUpscale, graph
-from postfx.passes.denoise.graph import WINDOW_STEPS, Step, kernels_of, shapes_of
+from postfx.passes.denoise.graph import WINDOW_STEPS, KernelStep, kernels_of, shapes_of
 from postfx.passes.denoise.ladder import family
 from postfx.passes.denoise.models import (
     CLASSIC,
@@ -220,11 +220,11 @@ def test_buffers_have_the_shapes_of_the_kernels_that_write_them(end):
     assert "keep" not in found and "warped" not in found, "of frames that are masked, or move"
 
 
-def steps_of_the_frame() -> list[Step]:
+def steps_of_the_frame() -> list[KernelStep]:
     """All steps of the page."""
     tables = [held for held in vars(graph).values() if isinstance(held, dict)]
     return [one for table in tables for steps in table.values() if isinstance(steps, tuple)
-            for one in steps if isinstance(one, Step)]
+            for one in steps if isinstance(one, KernelStep)]
 
 
 def test_all_words_of_steps_are_explained():

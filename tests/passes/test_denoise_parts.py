@@ -15,7 +15,7 @@ from postfx.passes.denoise import DenoiseUpscale, kinds
 from postfx.passes.denoise.assembly import FrameNetworks
 from postfx.passes.denoise.part_sums import coverage
 from postfx.passes.denoise.parts import mean_stops
-from postfx.passes.signed_light import lies_below
+from postfx.passes.signed_light import has_negative_light
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from postfx.system import PROCESS
@@ -510,13 +510,13 @@ def test_what_a_pixel_filter_leaves_below_0_costs_no_layer(device: Device) -> No
     part = np.ones((16, 16, 3), np.float32)
     part[::8] = -0.02
     picture = np.ones((16, 16, 3), np.float32)
-    assert lies_below(part, picture)
-    assert not lies_below(np.where(part < 0, 1, part) * np.float32(0.999), picture)
+    assert has_negative_light(part, picture)
+    assert not has_negative_light(np.where(part < 0, 1, part) * np.float32(0.999), picture)
     # a layer without light, which a renderer rounds
-    assert not lies_below(np.full((16, 16, 3), -1e-6, np.float32), picture)
+    assert not has_negative_light(np.full((16, 16, 3), -1e-6, np.float32), picture)
     part[::8] = 1
     part[0, 0] = -0.02
-    assert not lies_below(part, picture)
+    assert not has_negative_light(part, picture)
 
 
 def between_lamps(number: int, on_the_camera: bool) -> Frame:

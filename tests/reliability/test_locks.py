@@ -107,7 +107,7 @@ def test_lock_of_a_process_that_cannot_be(lock, number):
 def test_lock_of_a_process_whose_number_was_used_again(lock):
     lock.write_text(json.dumps(Process.me()._replace(begun=1).as_dict()))
     with FolderLock(lock, patience=5):
-        pass
+        assert Process.of(json.loads(lock.read_text())) == Process.me()
 
 
 @pytest.mark.parametrize("holder", [Process.me(), ELSEWHERE])
@@ -129,7 +129,7 @@ def test_old_lock_of_another_machine_is_taken_over(lock, content):
     long_ago = time.time() - OLD - 10
     os.utime(lock, (long_ago, long_ago))
     with FolderLock(lock, patience=5):
-        pass
+        assert Process.of(json.loads(lock.read_text())) == Process.me()
 
 
 @pytest.mark.parametrize("content", ["", "{"])

@@ -25,7 +25,12 @@ from postfx.frame import DEPTH_MISS, Frame, Role
 from postfx.integrate import rigid_previous_positions, write_planes
 from training.datagen.variant import use_variant
 
-WIDTH, HEIGHT, FOV, LIGHT_SAMPLES = 320, 180, 55.0, 8
+WIDTH = 320
+HEIGHT = 180
+FOV = 55.0
+"""Horizontal field of view in degrees."""
+LIGHT_SAMPLES = 8
+"""Samples of emitters at each shading point."""
 Thing = tuple[dict[str, Any], np.ndarray]
 """A shape's description without its place, and its transform to the world (4, 4), column
 vectors."""

@@ -30,13 +30,25 @@ from training.datagen.clip_file import save_clip
 LATTICE = 64
 LAYERS = 4  # the ground, a disc, a box and a thin bar
 DEPTHS = (12.0, 6.0, 4.0, 2.5)
-SCALES, CHANCES = (1.0, 1.5, 2.0, 3.0), (0.42, 0.08, 0.38, 0.12)
+"""Of the layers."""
+SCALES = (1.0, 1.5, 2.0, 3.0)
+"""Output size over the render's."""
+CHANCES = (0.42, 0.08, 0.38, 0.12)
+"""Of each scale."""
 VARIANTS = 3  # noisy renders of a clip, beside one without noise
 GLOSS = 0.2  # share of the reflectance that is specular, by roughness
-SPARSE, COVERED, LAMPS, SIGNS, JITTERED, FALSE_MOTION = 0.25, 0.2, 0.15, 0.15, 0.3, 0.15
-"""Shares of the clips: with planes of few samples; with surfaces that cover pixels partly; with
-lamps; with signs; with one sample position for each frame; with the ground's vectors for moving
-objects."""
+
+# shares of the clips
+SPARSE = 0.25
+"""With planes of few samples."""
+COVERED = 0.2
+"""With surfaces that cover pixels partly."""
+LAMPS = 0.15
+SIGNS = 0.15
+JITTERED = 0.3
+"""With one sample position for each frame."""
+FALSE_MOTION = 0.15
+"""With the ground's vectors for moving objects."""
 
 
 @dataclass

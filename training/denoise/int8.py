@@ -296,8 +296,10 @@ def show(model: onnx.ModelProto, names: Iterable[str]) -> onnx.ModelProto:
 # results afterwards takes twice as long.
 
 KEPT, QUANTISED = "_kept", "_quantised"
-SIGN, MIDDLE = 128, 64
-"""Offsets of the processor's 8-bit products: subtracted from codes of values, added to weights."""
+SIGN = 128
+"""The processor's 8-bit products take codes of values less this."""
+MIDDLE = 64
+"""The processor's 8-bit products take weights with this added."""
 
 
 def in_integers(model: onnx.ModelProto, weights: Mapping[str, Rounded],
@@ -423,7 +425,10 @@ def _signed(graph: onnx.GraphProto, source: str, channels: int) -> list[NodeProt
 # 7-bit rounding: only compensated rounding (`round_compensated`) is as good as float32.
 
 MOST = 255
-LIGHT, ALBEDO = (0.0, 5.5), (0.0, 1.25)
+LIGHT = (0.0, 5.5)
+"""Range of the codes of light."""
+ALBEDO = (0.0, 1.25)
+"""Range of the codes of an albedo."""
 SEEN = (*6 * [ALBEDO], *3 * [(-1.0, 1.0)], (0.0, 1.0), (0.0, 1.0))
 """Ranges of both albedos, normal, roughness and depth."""
 LIMITS = {

@@ -27,20 +27,30 @@ from training.denoise.picture import guide_codes
 # Both pictures are filtered like the eye does at a distance, converted to Lab with less chroma in
 # the dark (Hunt), and compared by HyAB; an exponent of 0.7 gives weight to small differences.
 
-DENSITY = 67.0  # pixels a degree
-# Bands of the contrast sensitivity of lightness, red-green and blue-yellow, in degrees^2; the last
-# one is the mean by weight of two Gaussians.
+DENSITY = 67.0
+"""Pixels for each degree of the field of view."""
 BANDS = (0.0047, 0.0053, (34.1 * 0.04 + 13.5 * 0.025) / (34.1 + 13.5))
+"""Widths of the contrast sensitivity to lightness, red-green and blue-yellow, in degrees^2. FLIP
+describes blue-yellow by two Gaussians; this is the mean of their widths, weighted by their areas.
+"""
 TO_XYZ = ((0.4123908, 0.3575843, 0.1804808), (0.2126390, 0.7151687, 0.0721923),
           (0.0193308, 0.1191948, 0.9505322))
-# 41.276: difference of green and blue, the farthest colours
-EXPONENT, SCALE = 0.7, 0.95 / (0.4 * 41.2760)
-# Lab units; no kink at 0, where noise of the reference would hold the result at its median
+"""Linear sRGB to XYZ."""
+EXPONENT = 0.7
+"""Of the distance of two colours."""
+SCALE = 0.95 / (0.4 * 41.2760)
+"""Of the distance to the power of `EXPONENT`. 41.276 is the distance of green and blue, the two
+colours that are farthest apart, to that power."""
 SOFT = 1.0
+"""Lab units, below which the distance is smooth: a kink at 0 would draw the result to the median of
+a noisy reference."""
 LAB_KNEE = 6 / 29
+"""Cube root of the value below which Lab is linear."""
 _MATRIX = np.array(TO_XYZ) / np.sum(TO_XYZ, 1, keepdims=True)
-# linear RGB -> XYZ over that of white, and back
-FORTH, BACK = _MATRIX.tolist(), np.linalg.inv(_MATRIX).tolist()
+TO_WHITE_XYZ = _MATRIX.tolist()
+"""Linear sRGB to XYZ as a share of white."""
+FROM_WHITE_XYZ = np.linalg.inv(_MATRIX).tolist()
+"""The inverse of `TO_WHITE_XYZ`."""
 
 
 def apply_matrix(matrix: list[list[float]], image: Tensor) -> Tensor:
@@ -65,15 +75,15 @@ def filters(size: int, device: torch.device) -> Tensor:
 
 
 def perceive(display: Tensor) -> Tensor:
-    """sRGB code values (N, 3, H, W) in [0, 1] -> filtered Lab, chroma by the hundredth of the
-    lightness."""
-    x, y, z = apply_matrix(FORTH, rgb_to_linear_rgb(display)).unbind(1)
+    """sRGB code values (N, 3, H, W) in [0, 1] to filtered Lab, whose chroma is multiplied by the
+    lightness over 100 (Hunt)."""
+    x, y, z = apply_matrix(TO_WHITE_XYZ, rgb_to_linear_rgb(display)).unbind(1)
     opponent, (height, width) = torch.stack((y, x - y, y - z), 1), display.shape[-2:]
     with torch.autocast(display.device.type, enabled=False):  # eight bits are too few
         passed = filters(height, display.device) @ opponent @ filters(width, display.device).mT
     y, red, blue = passed.unbind(1)
-    linear = apply_matrix(BACK, torch.stack((red + y, y, y - blue), 1)).clamp(0, 1)
-    value = apply_matrix(FORTH, linear)
+    linear = apply_matrix(FROM_WHITE_XYZ, torch.stack((red + y, y, y - blue), 1)).clamp(0, 1)
+    value = apply_matrix(TO_WHITE_XYZ, linear)
     root = torch.where(value > LAB_KNEE**3, value.clamp(min=LAB_KNEE**3) ** (1 / 3),
                        value / (3 * LAB_KNEE**2) + 4 / 29)
     x, y, z = root.unbind(1)
@@ -93,19 +103,40 @@ def difference(output: Tensor, reference: Tensor) -> Tensor:
 
 # Losses of a frame --------------------------------------------------------------------------------
 
-COARSE = (4, 8, 16)  # output pixels
-KNEE, COARSE_KNEE = 0.02, 0.005  # code values
-LIGHT_CELL, LIGHT_MOST, LIGHT_FLOOR = 16, 1000.0, 0.05
-LIGHT = 0.5, 0.05  # weight and knee of the error of light
-DARK_REFLECTANCE, REFLECTANCE_KNEE = 0.05, 0.1
-SEEN = 0.5  # weight of the perceived difference
-ERROR = 0.1  # weight of the predicted error
-GUIDES_KNEE = 0.02  # of their codes
-ERROR_FLOOR = 0.03  # code values: smaller expected errors count alike
-NOISY = 0.2  # input error (display-encoded) of frames that count once
-DARKEST = 1e-3  # exposed light below which the slope of the display curve is the one here
-LARGEST_SEEN = 4.0  # code values: larger errors of what is seen are fireflies of the reference
-SQUARED = 40.0  # weight of squared errors against noisy references
+COARSE = (4, 8, 16)
+"""Sides of the cells of the coarser pictures, in output pixels."""
+KNEE = 0.02
+"""Error below which values count squared, in display code values (1 is white)."""
+COARSE_KNEE = 0.005
+"""The same for coarser pictures."""
+LIGHT_CELL = 16
+"""Side of the cells in which light is compared, in output pixels."""
+LIGHT_MOST = 1000.0
+"""Exposed light above which a pixel counts no more."""
+LIGHT_FLOOR = 0.05
+"""Exposed light added to the reference that an error is relative to."""
+LIGHT = 0.5, 0.05
+"""Weight and knee of the relative error of light."""
+DARK_REFLECTANCE = 0.05
+"""Added to a reflectance before its logarithm."""
+REFLECTANCE_KNEE = 0.1
+"""Of the difference of two logarithms of reflectance."""
+SEEN = 0.5
+"""Weight of the perceived difference."""
+ERROR = 0.1
+"""Weight of the loss of the predicted error."""
+GUIDES_KNEE = 0.02
+"""Of the codes of albedo and normal."""
+ERROR_FLOOR = 0.03
+"""Expected error in code values; pixels below it have almost the same weight."""
+NOISY = 0.2
+"""Error of the input, in code values, of a frame whose weight `even_scale` leaves at 1."""
+DARKEST = 1e-3
+"""Exposed light; where there is less, the display curve has the slope that it has here."""
+LARGEST_SEEN = 4.0
+"""In code values: larger errors of what is seen are fireflies of the reference."""
+SQUARED = 40.0
+"""Weight of squared errors against noisy references."""
 
 
 def display(exposed: Tensor) -> Tensor:
@@ -130,6 +161,7 @@ def display_slope(light: Tensor) -> Tensor:
 
 
 def gradient(image: Tensor) -> tuple[Tensor, Tensor]:
+    """Differences to the right and to the lower neighbour, (..., H, W - 1) and (..., H - 1, W)."""
     return image[..., :, 1:] - image[..., :, :-1], image[..., 1:, :] - image[..., :-1, :]
 
 
@@ -190,8 +222,8 @@ def error_loss(predicted: Tensor, output: Tensor, reference: Tensor) -> Tensor:
     """Loss of the ``predicted`` logarithm (N, 1, h, w) of the expected squared error of the
     display-encoded ``output`` (N, 3, H, W), of the same size or larger.
 
-    Its least value is at the mean of the squared error, as that of a Poisson likelihood; each pixel
-    counts the more, the smaller its expected error is.
+    Like a Poisson likelihood, it is least where the expected error is the mean of the squared
+    error. The smaller a pixel's expected error is, the greater is its weight.
     """
     h, w = predicted.shape[-2:]
     squared = F.adaptive_avg_pool2d((output - reference).detach().square().mean(1, keepdim=True),
@@ -236,11 +268,14 @@ def psnr(output: Tensor, reference: Tensor) -> Tensor:
 # Loss of a clip -----------------------------------------------------------------------------------
 # The loss of clips that run through the recurrent step, forwards or both ways.
 
-# share of the two directions' own losses for clips run both ways; the rest is the blend's
 OWN = 0.5
+"""Weight of the losses of the two directions of a clip that runs both ways; their blend has the
+rest."""
 
-Scores = tuple[Tensor, Tensor, Tensor]  # loss, and without gradient PSNR and flicker
-Results = tuple[Tensor, Tensor, Tensor, State]  # and the history after the last frame
+Scores = tuple[Tensor, Tensor, Tensor]
+"""Loss; PSNR in dB and flicker, both without gradient."""
+Results = tuple[Tensor, Tensor, Tensor, State]
+"""`Scores`, and the history after the last frame."""
 
 
 class Truth:
@@ -301,8 +336,7 @@ class Truth:
     def _flicker(self, shown: list[Tensor], t: int) -> Tensor:
         moved = reproject_reference(shown[t - 1], self.motion[t])
         return flicker_loss(shown[t], moved, self.shown[t], self.moved[t - 1],
-                                   self.explained[t - 1], self.scale[t])
-
+                            self.explained[t - 1], self.scale[t])
 
     def _noisy_flicker(self, outputs: list[Tensor], t: int) -> Tensor:
         moved = reproject_reference(outputs[t - 1], self.motion[t])
@@ -316,13 +350,19 @@ class Truth:
 class ClipLoss(nn.Module):
     """Run a clip through the recurrent step and sum the losses of its frames.
 
-    ``flicker`` is the weight of the temporal difference, ``reset`` the chance that a frame drops
-    its history; ``even`` is the largest factor that gives clips of little noise more weight (0: all
-    have the same); ``light`` are weight and knee of the error of light, ``reflectance`` is the
-    weight of the error of the trusted reflectance, ``guides`` that of the error of albedo and
-    normal that the network has cleaned; ``is_noisy`` compares with references that hold noise of
-    their own. A batch with inverse motion also runs backwards: each direction has a loss, and so
-    has their blend. A batch with a state continues its history.
+    A batch with inverse motion also runs backwards: each direction has a loss, and so has their
+    blend. A batch with a state continues its history.
+
+    Args:
+        model: The network to train.
+        flicker: Weight of `flicker_loss`.
+        reset: Chance that a frame drops its history.
+        even: Largest weight of a frame with little noise (`even_scale`); with 0, all frames weigh
+            the same.
+        light: Weight and knee of `light_loss`.
+        reflectance: Weight of `reflectance_loss`.
+        guides: Weight of `guides_loss`.
+        is_noisy: Whether the references hold noise of their own.
     """
 
     def __init__(self, model: DenoiseUpscale, flicker: float, reset: float, even: float = 0.0,
@@ -334,7 +374,8 @@ class ClipLoss(nn.Module):
         self.reset = reset
         self.even = even
         self.light = light
-        self.reflectance, self.guides = reflectance, guides
+        self.reflectance = reflectance
+        self.guides = guides
         self.is_noisy = is_noisy
 
     def forward(self, batch: Batch) -> Results:

@@ -36,8 +36,10 @@ from training.measure.table import Shot, parser_of_kinds, shots
 WEIGHT, BIAS = f"{PREFIX}error.weight", f"{PREFIX}error.bias"
 PARTS = 10
 """As many equal parts of the pixels, by their prediction."""
-LOW, HIGH = 0.8, 1.25
-"""Ratios of measured to predicted errors between which a part counts as right."""
+LOW = 0.8
+"""Least ratio of a measured error to the predicted one with which a part counts as right."""
+HIGH = 1.25
+"""The largest."""
 LEAST_ERROR = 1e-7
 """A tenth's least squared error: the noise that is taken out may leave nothing."""
 

@@ -33,8 +33,10 @@ SRGB = parse_display("srgb")
 STEPS = 255
 SWEEP = range(-6, 7)
 COLOURFUL = 20.0  # Delta E ITP from grey: below that a hue means little
-# of the step, and how near to it counts, in shares of the picture's width
-EDGE_STOPS, EDGE_REACH = 6.0, 0.25
+EDGE_STOPS = 6.0
+"""Height of the step of light."""
+EDGE_REACH = 0.25
+"""Distance from the step within which pixels count, as a share of the picture's width."""
 
 
 def chroma(codes: np.ndarray) -> np.ndarray:

@@ -33,7 +33,7 @@ from postfx.exposure import measure
 from postfx.frame import Frame, Role
 from postfx.kernels.colour import APPLY_CUBE
 from postfx.kernels.tonemap import SLICE_APPLY
-from postfx.passes.tonemap import ToneMap, find_model, shaper
+from postfx.passes.tonemap import ToneMap, find_tone_mapper, shaper
 from postfx.pipeline import Pipeline
 from postfx.runtime import Device
 from postfx.tools.bench.metrics import flip, psnr, ssim
@@ -168,7 +168,7 @@ class Mapper:
     def __init__(self, tag: str, keep: float | None = None) -> None:
         self._device, self._tag, self._keep = Device("cpu"), tag, keep
         self._pipelines: dict[Any, Any] = {}
-        library, model = find_model(tag)
+        library, model = find_tone_mapper(tag)
         self.name, self.card = model.removeprefix("tonemap."), library.card(model)
 
     def __call__(self, rgb: np.ndarray) -> np.ndarray:
@@ -191,7 +191,7 @@ class Mapper:
 
     def hold(self, kept: np.ndarray) -> Render:
         """The look with a constant grid or exposure."""
-        library, model = find_model(self._tag)
+        library, model = find_tone_mapper(self._tag)
         constants = self._device.pipeline_state(library, model).constants
         numbers = shaper(library, model)
         params = np.array([1.0, numbers.toe, numbers.scale], np.float32)

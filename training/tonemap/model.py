@@ -32,8 +32,12 @@ from postfx.system import models_dir
 MID_GREY = 0.18
 BLACK = 2.0**-16  # added to luminance before its logarithm
 CUBE = 33  # corners along an axis
-TOE, WHITE = 2.0**-8, 2.0**8
-SHAPER = (TOE, 1.0 / math.log2(1.0 + WHITE / TOE))  # scene-linear values; 1.0 is reached at WHITE
+TOE = 2.0**-8
+"""Scene-linear value below which the shaper is about linear."""
+WHITE = 2.0**8
+"""Scene-linear value at which the shaper reaches 1."""
+SHAPER = (TOE, 1.0 / math.log2(1.0 + WHITE / TOE))
+"""Toe and scale of `shape`."""
 
 
 LARGEST = 1e10  # stands for infinity
@@ -105,13 +109,18 @@ def lattice(size: int = CUBE) -> np.ndarray:
 # The network --------------------------------------------------------------------------------------
 
 SIDE = 256  # side of the copy that the coefficients are computed on
-CELLS, DEPTH = 16, 8  # grid: 16 x 16 cells, 8 guide levels
+CELLS = 16
+"""Cells of the grid along either axis of the picture."""
+DEPTH = 8
+"""Guide levels of a cell."""
 COEFFICIENTS = 12  # 3x4 affine colour matrix, row-major
 KNOTS = 16
 BINS = 32  # of the histogram
 FOURTH = 4  # the copy is reduced by this factor to count the guide levels of a cell
-# share of a cell's pixels that weighs as much as all neighbours; share for missing levels
-TRUST, NONE = 0.2, 1e-4
+TRUST = 0.2
+"""Share of a cell's pixels that weighs as much as all neighbours."""
+NONE = 1e-4
+"""Added to the share of each level, as some have no pixel."""
 GUIDE_PARTS = {"matrix": 9, "bias": 3, "shifts": 3 * KNOTS, "slopes": 3 * KNOTS, "mix": 3,
                "mix_bias": 1}
 
@@ -458,7 +467,7 @@ class Exposure(nn.Module):
 STATE = dict[str, torch.Tensor]
 
 
-def find_model(start: str) -> Path:
+def find_start_model(start: str) -> Path:
     """A model file by its own name, or by the tag of a shipped look."""
     path = Path(start) if start.endswith(".onnx") else models_dir() / f"tonemap.{start}.onnx"
     if not path.is_file():

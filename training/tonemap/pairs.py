@@ -23,10 +23,15 @@ from training.tonemap.pictures import held_among, read, shrink
 # starting cube are kept small, so the change continues evenly where the data ends, and the starting
 # cube's own shape stays.
 
-# weights of second differences and of the change itself, against 1 for the data of a cell
-SMOOTH, NEAR = 1e-2, 1e-7
-# corners without data converge last: stopping early leaves them at the start
-TOLERANCE, ITERATIONS = 1e-7, 6000
+# weights, where that of a cell's data is 1
+SMOOTH = 1e-2
+"""Of second differences."""
+NEAR = 1e-7
+"""Of the change of the cube itself."""
+
+# Corners without data converge last: stopping early leaves them as they were.
+TOLERANCE = 1e-7
+ITERATIONS = 6000
 
 
 def fit_cube(shaped: np.ndarray, wanted: np.ndarray, start: np.ndarray) -> np.ndarray:

@@ -78,7 +78,10 @@ def perspective(sphere: torch.Tensor, yaw: float, pitch: float, fov: float,
 
 WIDE_SPACES = ("rec2020", "acescg")
 LARGEST = 2.0**14  # after exposure; the shaper ends at 2**8, so nothing visible is lost
-FIELD, VIEW_SIZE = 85.0, (288, 512)  # degrees along the longer side; height and width
+FIELD = 85.0
+"""Field of view along the longer side of a view, in degrees."""
+VIEW_SIZE = (288, 512)
+"""Height and width of a view."""
 VALIDATION_VIEWS = ((0.0, 0.0), (120.0, 10.0), (240.0, -15.0))  # yaw, pitch in degrees
 WIDE = [torch.from_numpy(matrix_between(LINEAR_SPACES[name], REC709).astype(np.float32))
         for name in WIDE_SPACES]

@@ -44,7 +44,7 @@ from training.tonemap.model import (
     HDRNet,
     Shaper,
     default_shaper,
-    find_model,
+    find_start_model,
     levels,
     look_up,
     lowres,
@@ -60,15 +60,37 @@ if TYPE_CHECKING:
 
 # Settings -----------------------------------------------------------------------------------------
 
-GPU_MINUTES, CPU_MINUTES = 8.0, 45.0
-RATE, FINE_RATE = 1.5e-3, 2e-4  # the second for fine-tuning on a CPU: few steps, and a good start
-SIDE = 768  # longest side of a picture
-WARM_UP = 100  # steps over which the learning rate rises
-CONSISTENCY, GRADIENT, CHROMA, SQUARED, SHAPED = 0.5, 0.5, 0.5, 4.0, 1.0  # weights in the loss
-ENOUGH = 40.0  # dB on the training pairs from which on colour alone explains them
-VIEWS = 8000  # views that an exposure is learnt from, and steps
-EXPOSURE_BATCH, EXPOSURE_RATE, DECAY = 256, 3e-3, 1e-3
-ROUND = 0.05  # stops: smaller errors of an exposure count squared
+GPU_MINUTES = 8.0
+CPU_MINUTES = 45.0
+RATE = 1.5e-3
+"""Largest learning rate."""
+FINE_RATE = 2e-4
+"""The same to fine-tune on a CPU, which has time for few steps from a good start."""
+SIDE = 768
+"""Longest side of a picture, in pixels."""
+WARM_UP = 100
+"""Steps in which the learning rate rises."""
+ENOUGH = 40.0
+"""PSNR of a cube on the training pairs, in dB, from which on colour alone explains the look."""
+
+# weights in the loss
+CONSISTENCY = 0.5
+"""Of the difference of two shifted views in their overlap."""
+SQUARED = 4.0
+GRADIENT = 0.5
+CHROMA = 0.5
+SHAPED = 1.0
+"""Of the error before the look's view."""
+
+# an exposure
+VIEWS = 8000
+"""Views to learn from, and steps."""
+EXPOSURE_BATCH = 256
+EXPOSURE_RATE = 3e-3
+DECAY = 1e-3
+"""Weight decay of AdamW."""
+ROUND = 0.05
+"""Stops; smaller errors count squared."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +201,7 @@ def start_network(start: str, cube: torch.Tensor) -> HDRNet:
     'none'."""
     net = HDRNet(cube)
     if start != "none":
-        net.load_state_dict(weights_of(find_model(start), net.state_dict()) | {"cube": cube})
+        net.load_state_dict(weights_of(find_start_model(start), net.state_dict()) | {"cube": cube})
     return net
 
 

@@ -62,7 +62,7 @@ from postfx.passes.denoise.savings import (
     Savings,
 )
 from postfx.passes.denoise.unfiltered import SPREAD_MARGIN_PX
-from postfx.passes.denoise.window import Work
+from postfx.passes.denoise.window import FrameWork
 from postfx.pixel_filter import find_stddev, parse_stddev
 from postfx.repeats import ONE_SEED, Alike, FrameMemory, RepeatDetector
 from postfx.runtime import CommandBuffer, Device, Library, Tensor, has_networks
@@ -418,7 +418,7 @@ class DenoiseUpscale(Pass):
 
     def reset(self) -> None:
         self._has_history = self._is_wider = False
-        self._exposure = 1.0
+        self._exposure_factor = 1.0
         self._found_stddev: float | None = None
         self._cameras.reset()
         self._repeats.reset()
@@ -427,7 +427,7 @@ class DenoiseUpscale(Pass):
     def history(self) -> dict[str, np.ndarray]:
         if not (self.strength and self._has_history):
             return {}
-        known = {"exposure": np.array(self._exposure, np.float64),
+        known = {"exposure": np.array(self._exposure_factor, np.float64),
                  f"{NETWORK_PREFIX}{self._last_tag}": np.array(1, np.int64),
                  WIDER: np.array(self._is_wider, np.int64)}
         if self._found_stddev is not None:
@@ -443,7 +443,7 @@ class DenoiseUpscale(Pass):
         self._has_history = bool(history)
         self._last_inputs.forget()
         if self._has_history:
-            self._exposure = float(history["exposure"])
+            self._exposure_factor = float(history["exposure"])
             self._is_wider = bool(history.get(WIDER, False))
             if not isinstance(self._ready, ReadyNetwork):
                 raise KeyError(f"pass '{self.name}' has no history at strength 0")
@@ -504,7 +504,7 @@ class DenoiseUpscale(Pass):
         work, amount, more_reasons = self._plan_work(frame, ready, keep, cells)
         reasons += more_reasons
         colour = ready.encode(commands, frame, work, reasons)
-        self._has_history, self._exposure = not frame.unusable, frame.exposure_factor
+        self._has_history, self._exposure_factor = not frame.unusable, frame.exposure_factor
         if alike is not Alike.OTHER:
             self._keep_result(commands, colour)
         if work.still and amount is Amount.WHOLE:
@@ -513,7 +513,7 @@ class DenoiseUpscale(Pass):
         return colour
 
     def _plan_work(self, frame: ResidentFrame, ready: ReadyNetwork, keep: bool,
-                   cells: np.ndarray | None) -> tuple[Work, Amount, list[Reason]]:
+                   cells: np.ndarray | None) -> tuple[FrameWork, Amount, list[Reason]]:
         """The work on a frame, how much of the frame it is, and what else is left out of it.
 
         keep: whether the history goes on. cells: the active ones, None for all.
@@ -526,7 +526,7 @@ class DenoiseUpscale(Pass):
         band = None
         if cells is not None or lit is not None:
             band, cells = self._band(frame, ready, cells, lit)
-        gain = frame.exposure_factor / self._exposure if keep else 1.0
+        gain = frame.exposure_factor / self._exposure_factor if keep else 1.0
         if not self._is_wider and ready.is_outside(frame):
             self._widen(keep)
         still = keep and gain == 1 and frame.is_blank(Role.MOTION)
@@ -538,7 +538,7 @@ class DenoiseUpscale(Pass):
             reasons += [(UNFOLLOWED_REFLECTIONS, why)] if why else []
         params = np.array([frame.exposure_factor, *frame.jitter, gain], np.float32)
         model = ready.models[self._last_tag]
-        work = Work(model, params, keep, still, cells, band, self._is_wider, camera, stddev)
+        work = FrameWork(model, params, keep, still, cells, band, self._is_wider, camera, stddev)
         amount = Amount.WHOLE
         if band is not None and band.share != 1:
             amount = Amount.TILES if lit is None else Amount.LIT

@@ -37,7 +37,7 @@ from postfx.passes.denoise.tiling import (
     limited_to,
     window_cost,
 )
-from postfx.passes.denoise.window import THE_PICTURE, Layer, Targets, WindowGraph, Work
+from postfx.passes.denoise.window import THE_PICTURE, FilteredLayer, FrameWork, Targets, WindowGraph
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 MOST_WINDOW_PLACES = 64
@@ -247,8 +247,8 @@ class FrameNetworks:
         shape = min(ready, key=lambda one: time(one, count)) if ready else self._make(shape)
         return band_of(self._sizes, boxes, shape, halo, judged)
 
-    def encode(self, commands: CommandBuffer, planes: Mapping[str, Tensor], work: Work,
-               layers: Sequence[Layer] = (),
+    def encode(self, commands: CommandBuffer, planes: Mapping[str, Tensor], work: FrameWork,
+               layers: Sequence[FilteredLayer] = (),
                written: Targets = MappingProxyType({})) -> Tensor:
         """Record the work on one frame, or on some tiles of it; returns the colour, which is
         undefined outside the tiles' rows.
@@ -290,7 +290,8 @@ class FrameNetworks:
         return picture["output"]
 
     def _record(self, commands: CommandBuffer, seen: Mapping[str, Tensor], targets: Targets,
-                now: frozenset[str], work: Work, kept: Rows, layers: Sequence[Layer]) -> None:
+                now: frozenset[str], work: FrameWork, kept: Rows,
+                layers: Sequence[FilteredLayer]) -> None:
         words = frozenset({"reactive"} if self._reactive else ())
         run_steps(commands, FRAME_NEEDS, seen, words)
         if work.band is None and self._whole:
@@ -314,7 +315,7 @@ class FrameNetworks:
     def _encode_tiles(self, commands: CommandBuffer, model: str, band: Band,
                       seen: Mapping[str, Tensor], targets: Targets, now: frozenset[str],
                       kept: Rows,
-                      layers: Sequence[Layer]) -> None:
+                      layers: Sequence[FilteredLayer]) -> None:
         window = band.tiles[0].window
         graph, direct = (self._graphs[window.rows, window.columns],
                          self._assembly.direct(band, targets, kept))

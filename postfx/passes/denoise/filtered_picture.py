@@ -16,7 +16,7 @@ from postfx.passes.denoise.history import FILTERED_PICTURE, PartHistory
 from postfx.passes.denoise.models import blanks_volumes, grid_of
 from postfx.passes.denoise.parts import Layers, OwnRun
 from postfx.passes.denoise.planes import Planes
-from postfx.passes.denoise.window import THE_PICTURE, Work
+from postfx.passes.denoise.window import THE_PICTURE, FrameWork
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 
@@ -49,7 +49,7 @@ class FilteredPicture:
         return self._has_parts or has_noisy_alpha(frame)
 
     def encode(self, commands: CommandBuffer, frame: ResidentFrame, planes: Mapping[str, Tensor],
-               hazy: Planes, work: Work) -> Tensor:
+               hazy: Planes, work: FrameWork) -> Tensor:
         """Record the work on parts and alpha; returns the picture that was filtered with them.
 
         Args:
@@ -75,7 +75,7 @@ def own_networks(networks: FrameNetworks, history: PartHistory) -> dict[str, Fra
 
 
 def encode_own(commands: CommandBuffer, networks: Mapping[str, FrameNetworks],
-               runs: Iterable[OwnRun], work: Work) -> None:
+               runs: Iterable[OwnRun], work: FrameWork) -> None:
     """Record the network's work on parts that have filters of their own, by `own_networks`."""
     for run in runs:
         still = run.params[GAIN] == work.params[GAIN]

@@ -14,7 +14,7 @@ from postfx.passes import Pass, ResidentFrame
 from postfx.passes.denoise.activity import grown
 from postfx.passes.denoise.geometry import CELL
 from postfx.passes.denoise.planes import ABSENT, MIRRORED_ROLES
-from postfx.passes.denoise.window import Work
+from postfx.passes.denoise.window import FrameWork
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 DENOISED_SHARE = 0.75
@@ -55,7 +55,8 @@ class FirstStage:
         self.runs = has_time and not self.is_jittered
         return self.runs
 
-    def encode(self, commands: CommandBuffer, frame: ResidentFrame, work: Work) -> Tensor | None:
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame,
+               work: FrameWork) -> Tensor | None:
         """Record the work on the frame that was looked at; returns the mixture, or None where the
         frame is enlarged as it is."""
         if not (self.runs and work.keep):
@@ -66,7 +67,7 @@ class FirstStage:
         self._stage.encode(commands, own)
         return own[Role.COLOUR]
 
-    def _copy(self, frame: ResidentFrame, work: Work) -> ResidentFrame:
+    def _copy(self, frame: ResidentFrame, work: FrameWork) -> ResidentFrame:
         """The frame as the first network sees it: active wherever the second one looks."""
         held, own = {role: frame[role] for role in self._spec.roles}, {}
         if self._strength:

@@ -47,7 +47,7 @@ from postfx.passes.denoise.primaries import WiderPrimaries
 from postfx.passes.denoise.reflections import Reflections, can_follow
 from postfx.passes.denoise.savings import FULL_STRENGTH, HAZY_DEPTH, Reason
 from postfx.passes.denoise.unfiltered import Unfiltered
-from postfx.passes.denoise.window import THE_PICTURE, Work
+from postfx.passes.denoise.window import THE_PICTURE, FrameWork
 from postfx.planes import sampled
 from postfx.runtime import CommandBuffer, Device, Tensor
 
@@ -119,7 +119,7 @@ class Wishes(NamedTuple):
     spared_px: int = 0
 
 
-class Seen(NamedTuple):
+class NetworkInputs(NamedTuple):
     """What networks read of a frame.
 
     Attributes:
@@ -197,7 +197,7 @@ class ReadyNetwork(Ready):
         # whether everything that is made of a frame is a weighted mean of its pixels
         self._only_weighs = not (parts or self.error or self.pictures or self.first_stage)
 
-    def encode(self, commands: CommandBuffer, frame: ResidentFrame, work: Work,
+    def encode(self, commands: CommandBuffer, frame: ResidentFrame, work: FrameWork,
                reasons: list[Reason]) -> Tensor:
         """Record all work on a frame, in the order of the tables of `graph`; returns the colour.
 
@@ -254,8 +254,8 @@ class ReadyNetwork(Ready):
             filtered.finish(commands, frame, pictures, rows, restore, strength)
         return self.wider.narrow(commands, frame, colour) if work.wider else colour
 
-    def _prepare(self, commands: CommandBuffer, frame: ResidentFrame, work: Work,
-                 reasons: list[Reason]) -> Seen:
+    def _prepare(self, commands: CommandBuffer, frame: ResidentFrame, work: FrameWork,
+                 reasons: list[Reason]) -> NetworkInputs:
         """Record the work that makes what the networks read of a frame. Until the windows are
         done, the frame's own planes may be replaced by others."""
         given = (self.unfiltered.undo(commands, frame, work.filter_stddev) if work.filter_stddev
@@ -277,9 +277,9 @@ class ReadyNetwork(Ready):
         if mixture:
             planes = {**planes, "colour": self.wider.widen_light(commands, "mixture", mixture)
                       if work.wider else mixture}
-        return Seen(planes, noisy, given, undone.get(Role.COLOUR), mixture is not None)
+        return NetworkInputs(planes, noisy, given, undone.get(Role.COLOUR), mixture is not None)
 
-    def _spread(self, commands: CommandBuffer, seen: Seen, name: str, picture: Tensor,
+    def _spread(self, commands: CommandBuffer, seen: NetworkInputs, name: str, picture: Tensor,
                 rows: Rows) -> Tensor:
         """Record the work that applies the pixel filter to a picture again; `name`: of the
         result."""

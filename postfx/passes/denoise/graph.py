@@ -25,8 +25,8 @@ runs, when, and on which buffers.
 `ReadyNetwork.encode` in frame.py records them in this order; the files named here hold their
 buffers.
 
-Parts with light below 0 enter as two layers, above and below 0, and leave as their difference:
-`postfx/passes/signed_light.py` takes them apart and joins them.
+Parts with negative light are split into two layers by its sign, and joined again at the end
+(`postfx/passes/signed_light.py`).
 
 A step runs if all of its words hold, and none of those behind `unless`:
 
@@ -146,7 +146,7 @@ from postfx.runtime import CommandBuffer, PipelineState, Tensor
 from postfx.runtime.states import parse
 
 
-class Step(NamedTuple):
+class KernelStep(NamedTuple):
     """A kernel, and where it runs.
 
     Attributes:
@@ -166,15 +166,15 @@ class Step(NamedTuple):
     buffers: Mapping[str, str]
 
 
-Steps = tuple[Step, ...]
+Steps = tuple[KernelStep, ...]
 Table = Mapping[str, Steps]
 """Steps by the label of their encoder."""
 
 
 def step(kernel: Kernel | None, when: str = "", *, unless: str = "", over: str = "",
-         **buffers: str) -> Step:
+         **buffers: str) -> KernelStep:
     """A step; words are given in one text, buffers by the names of bindings."""
-    return Step(kernel, frozenset(when.split()), frozenset(unless.split()), over, 0, buffers)
+    return KernelStep(kernel, frozenset(when.split()), frozenset(unless.split()), over, 0, buffers)
 
 
 # Before the windows: planes and history as these read them.
@@ -197,7 +197,7 @@ FRAME_NEEDS: Table = {"scale": (
 # The picture of a window.
 
 
-def _pool(i: int) -> Step:
+def _pool(i: int) -> KernelStep:
     """Halves the size of light, weighted by importance."""
     return step(POOL, unless="gpu given",
                 finer=f"pool {i - 1}", finer_importance=f"importance {i - 1}",
@@ -410,7 +410,7 @@ def kernels_of(table: Table, words: frozenset[str] = NO_WORDS, over: Over = OVER
 
 
 def _steps_of(table: Table, words: frozenset[str], over: Over,
-              maybe: frozenset[str] = NO_WORDS) -> Iterator[tuple[str, Step, Each]]:
+              maybe: frozenset[str] = NO_WORDS) -> Iterator[tuple[str, KernelStep, Each]]:
     """The steps that run, with their labels, once for each thing that they run over. Words in
     `maybe` hold in some frames only: they let steps run that need them, and stop none."""
     for label, steps in table.items():

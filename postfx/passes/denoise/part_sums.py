@@ -59,7 +59,7 @@ class PartSums:
         groups: the groups.
         parts: all parts by name.
         render: size of the frames.
-        signed: for parts with light below 0.
+        signed: for parts with negative light.
     """
 
     def __init__(self, device: Device, groups: Sequence[Group], parts: Mapping[str, Part],
@@ -94,18 +94,19 @@ class PartSums:
 
     def balance(self, commands: CommandBuffer, group: Group, stack: Tensor,
                 pictures: tuple[Tensor, Tensor], balanced: Tensor,
-                below: Sequence[Tensor]) -> None:
+                negatives: Sequence[Tensor]) -> None:
         """Record the work that brings a group's parts to a picture.
 
         Args:
             stack: holds the parts.
             pictures: what the parts add up to now, and what they are to add up to.
             balanced: the stack that the result goes to.
-            below: what the parts have below 0, which both pictures lack.
+            negatives: the negative layers of the parts.
         """
         count = len(group.names)
         whole, picture = (
-            self._signed.lift(commands, f"{what} above 0 of {group.first}", light, below)
+            self._signed.sum_of_positive(commands, f"{what} above 0 of {group.first}", light,
+                                         negatives)
             for what, light in zip(("whole", "picture"), pictures, strict=True))
         run_steps(commands, BALANCED, {
             "parts": some_of(stack, group.first, count), "whole": whole,

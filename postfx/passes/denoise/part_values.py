@@ -34,17 +34,17 @@ class PartValues:
         spec: of the frames.
         output: size of what leaves.
         parts: the parts by name, alpha among them.
-        halves: names of layers that are a part's light below 0 -> the part's name.
+        negative_layers: names of layers that hold a part's negative light -> the part's name.
     """
 
     def __init__(self, device: Device, spec: FrameSpec, output: Size, parts: Mapping[str, Part],
-                 halves: Mapping[str, str]) -> None:
+                 negative_layers: Mapping[str, str]) -> None:
         self._device, self._output = device, output
         self._render = Size(spec.height, spec.width)
         self._channels = dict(spec.parts)
-        self._parts, self._halves = parts, halves
+        self._parts, self._negative_layers = parts, negative_layers
         new = device.heap.tensor
-        self._codings = {name: new(f"coding {name}", (3,)) for name in (*parts, *halves)}
+        self._codings = {name: new(f"coding {name}", (3,)) for name in (*parts, *negative_layers)}
         self._decodings = {name: new(f"decoding {name}", (5,))
                            for name, part in parts.items() if not part.is_light}
         self._as_it_is = new("as it is", (5,))
@@ -54,7 +54,7 @@ class PartValues:
 
     def kind(self, name: str) -> Kind:
         """The kind of a layer; light for one that is no part."""
-        name = self._halves.get(name, name)
+        name = self._negative_layers.get(name, name)
         return KINDS[self._parts[name].kind] if name in self._parts else LIGHT_KIND
 
     def is_light(self, name: str) -> bool:
@@ -81,13 +81,13 @@ class PartValues:
         self._copies[name].upload(given if given.shape[2] == 3 else np.repeat(given, 3, axis=2))
         return self._copies[name]
 
-    def coding(self, name: str, frame: ResidentFrame, exposure: float) -> Tensor:
+    def coding(self, name: str, frame: ResidentFrame, exposure_factor: float) -> Tensor:
         """How a layer's values are coded in a frame, for the kernels: the least value, the scale,
         and the most that is let through. Settles how they are decoded, too."""
         kind = self.kind(name)
         low, high = kind.span or _range_of(frame.host_parts[name])
         scale = 1.0 if (low, high) == (0.0, 1.0) else 1 / max(high - low, 1e-30)
-        most = LARGEST_FLOAT if kind.are_distances else MAX_COLOUR / exposure
+        most = LARGEST_FLOAT if kind.are_distances else MAX_COLOUR / exposure_factor
         self._codings[name].upload([low, scale, most])
         if self.is_decoded(name):
             decoding = [1 / scale, low, *kind.bounds, float(kind.are_vectors)]

@@ -31,8 +31,8 @@ from postfx.passes.denoise.output import Restore, Strength
 from postfx.passes.denoise.part_sums import SAMPLED_ROW_STEP, Group, PartSums, groups_of
 from postfx.passes.denoise.part_values import PartValues
 from postfx.passes.denoise.planes import ABSENT, Resampler, absent_plane
-from postfx.passes.denoise.window import THE_PICTURE, Layer, Work
-from postfx.passes.signed_light import SignedLight, below, lies_below
+from postfx.passes.denoise.window import THE_PICTURE, FilteredLayer, FrameWork
+from postfx.passes.signed_light import SignedLight, has_negative_light, negative_layer
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 SURFACE = tuple(role for role in ABSENT if role is not Role.MOTION)
@@ -100,13 +100,14 @@ class Layers:
         new = device.heap.tensor
         self._params = new("part params", (4,))
         self._exposed = new("whole params", (4,))
-        self._exposure = 1.0
+        self._exposure_factor = 1.0
         self._nothing = make_zeros(device, "no reflectance",
                                    (*self._render, 3) if self._parts else (1,))
         self._made: dict[str, Tensor] = {}
         self._signed = SignedLight(device, self._render, output)
-        self._below = {below(part.name): part.name for part in parts if part.is_light}
-        self._values = PartValues(device, spec, output, self._parts, self._below)
+        self._negative_layers = {negative_layer(part.name): part.name
+                                 for part in parts if part.is_light}
+        self._values = PartValues(device, spec, output, self._parts, self._negative_layers)
         self._sums = PartSums(device, self._groups, self._parts, self._render, self._signed)
         self._plain, self._plain_alpha = (Resampler(
             device, f"plain {name}", role, self._render, output
@@ -117,7 +118,7 @@ class Layers:
         self._alpha = Alpha(device, spec, output) if alpha else None
 
     def begin(self, commands: CommandBuffer, frame: ResidentFrame, planes: Mapping[str, Tensor],
-              work: Work) -> tuple[list[Layer], dict[str, dict[str, Tensor]]]:
+              work: FrameWork) -> tuple[list[FilteredLayer], dict[str, dict[str, Tensor]]]:
         """Begin a frame: the layers that are filtered, and the tensors for windows to write, by
         layer and binding. The picture's output is among these where parts must add up to it.
 
@@ -125,11 +126,11 @@ class Layers:
         """
         for plain in (self._plain, self._plain_alpha):
             plain.aim(frame.jitter)
-        self._exposure = float(work.params[EXPOSURE])
+        self._exposure_factor = float(work.params[EXPOSURE])
         self._params.upload([1.0, *work.params[JITTER_X:GAIN], 1.0])
         self._exposed.upload([*work.params[:GAIN], 1.0])
         self._history.turn()
-        self._by_sign = self._take_apart(commands, frame)
+        self._by_sign = self._split_by_sign(commands, frame)
         self._runs = self._needed(frame)
         runs = []
         targets: dict[str, dict[str, Tensor]] = {}
@@ -145,7 +146,7 @@ class Layers:
                 tensors = self._alpha.gather(commands, frame, planes, history, fresh)
                 enlarged = self._alpha.enlarged
                 targets[name] = {"light": enlarged}
-                runs.append(Layer(name, {"params": self._params, **tensors}, True, enlarged,
+                runs.append(FilteredLayer(name, {"params": self._params, **tensors}, True, enlarged,
                                   enlarged, 0))
                 continue
             last, stack, place = self._stacks_of(name, history)
@@ -156,7 +157,7 @@ class Layers:
                 tensors = {"params": self._params, "last_part": history.last["last_part"],
                            **self._inputs(name, frame, planes)}
             is_first = not (fresh and self._values.kind(name).stays)
-            runs.append(Layer(name, tensors, is_first, last, stack, place))
+            runs.append(FilteredLayer(name, tensors, is_first, last, stack, place))
         if self._groups:
             targets[THE_PICTURE] = {"output": one_of(self._history.stacks[1], 0)}
             whole = self._history.layers[WHOLE]
@@ -177,7 +178,7 @@ class Layers:
             layer.skip(shared=name in self._places)
 
     def own_runs(self, frame: ResidentFrame, planes: Mapping[str, Tensor],
-                 work: Work) -> Iterator[OwnRun]:
+                 work: FrameWork) -> Iterator[OwnRun]:
         """The runs of the network on parts that have filters of their own, in this frame."""
         self._history.ran = tuple(name for name in self._history.own if name in self._runs)
         for name in self._history.ran:
@@ -203,13 +204,14 @@ class Layers:
         filtered, denoised, picture = pictures
         for group in self._groups:
             whole = one_of(self._stack("blended"), 0) if WHOLE in self._runs else filtered
-            under = self._under(group, {name: self._history.layer(name).output
-                                        for name in self._below if name in self._runs})
+            negatives = self._negatives(group, {name: self._history.layer(name).output
+                                                for name in self._negative_layers
+                                                if name in self._runs})
             self._sums.balance(commands, group, self._stack("blended"), (whole, filtered),
-                               self._history.stacks[1], under)
+                               self._history.stacks[1], negatives)
             if filtered is not denoised:
                 self._sums.balance(commands, group, self._history.stacks[1],
-                                   (filtered, denoised), self._stack("brought"), under)
+                                   (filtered, denoised), self._stack("brought"), negatives)
         values = {name: self._finish_layer(commands, frame, name, pictures, rows, restore, strength)
                   for name in self._runs if name != WHOLE}
         values |= {name: self._resampled(commands, frame, name)
@@ -246,7 +248,7 @@ class Layers:
         resampled."""
         self._sums.look_at_sums(frame)
         self._plain.aim(frame.jitter)
-        self._by_sign = self._take_apart(commands, frame)
+        self._by_sign = self._split_by_sign(commands, frame)
         layers = dict.fromkeys((*self._parts, *self._by_sign))
         values = {name: self._resampled(commands, frame, name)
                   for name in layers if name != ALPHA_LAYER}
@@ -261,31 +263,32 @@ class Layers:
         is brought to it once more."""
         for group in self._groups if changed else ():
             self._sums.balance(commands, group, self._stack("finished"), (picture, picture),
-                               self._stack("balanced"), self._under(group, values))
+                               self._stack("balanced"), self._negatives(group, values))
         for name, value in values.items():
-            if name in self._below:
+            if name in self._negative_layers:
                 continue
             if changed and self._is_light(name):
                 value = one_of(self._stack("balanced"), self._places[name])
-            if below(name) in values:
-                value = self._signed.join(commands, name, value, values[below(name)])
+            if negative_layer(name) in values:
+                value = self._signed.join(commands, name, value, values[negative_layer(name)])
             self._values.leave(commands, frame, name, value)
 
-    def _take_apart(self, commands: CommandBuffer, frame: ResidentFrame) -> dict[str, Tensor]:
-        """The layers of parts with light below 0, by name. A part that had some in the frame before
-        keeps both, as its history does."""
+    def _split_by_sign(self, commands: CommandBuffer, frame: ResidentFrame) -> dict[str, Tensor]:
+        """The layers of parts with negative light, by name. A part that had some in the frame
+        before is still split, as its history is."""
         found: dict[str, Tensor] = {}
-        for layer, name in self._below.items():
+        for layer, name in self._negative_layers.items():
             before = self._history.layers.get(layer)
-            if (before and before.frames) or lies_below(
+            if (before and before.frames) or has_negative_light(
                 frame.host_parts[name], frame.host_planes[Role.COLOUR]):
                 light = self._values.three_channels(name, frame)
                 found |= self._signed.split(commands, name, light)
         return found
 
-    def _under(self, group: Group, values: Mapping[str, Tensor]) -> list[Tensor]:
-        """Light below 0 of the parts of a group, by the names of their layers."""
-        return [values[below(name)] for name in group.names if below(name) in values]
+    def _negatives(self, group: Group, values: Mapping[str, Tensor]) -> list[Tensor]:
+        """The negative layers of the parts of a group, of those among `values`."""
+        layers = map(negative_layer, group.names)
+        return [values[layer] for layer in layers if layer in values]
 
     def _needed(self, frame: ResidentFrame) -> list[str]:
         """The layers of this frame: alpha only where it is neither 0 nor 1, the whole picture only
@@ -293,7 +296,7 @@ class Layers:
         found = [] if self._sums.look(frame) else [WHOLE]
         found += [name for name in self._parts
                   if name != ALPHA_LAYER and self._values.kind(name).is_filtered]
-        found += [layer for layer in self._below if layer in self._by_sign]
+        found += [layer for layer in self._negative_layers if layer in self._by_sign]
         return found + ([ALPHA_LAYER] if ALPHA_LAYER in self._parts and has_noisy_alpha(frame)
                         else [])
 
@@ -302,7 +305,7 @@ class Layers:
         """What the filters read of a part in this frame, by binding."""
         self._raw[name], kind = self._input(name, frame), self._values.kind(name)
         found = {"part": self._raw[name],
-                 "coding": self._values.coding(name, frame, self._exposure)}
+                 "coding": self._values.coding(name, frame, self._exposure_factor)}
         if kind.is_like_picture:
             return found
         return found | {str(role): planes[str(role)] if role in kind.divided else self._nothing

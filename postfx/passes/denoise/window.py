@@ -73,7 +73,7 @@ Targets = Mapping[str, Mapping[str, Tensor]]
 """What windows write: by layer, and by binding."""
 
 
-class Work(NamedTuple):
+class FrameWork(NamedTuple):
     """The work that one frame needs.
 
     Attributes:
@@ -102,7 +102,7 @@ class Work(NamedTuple):
 
 
 @dataclass
-class Layer:
+class FilteredLayer:
     """A layer beside the picture that a window's filters run on.
 
     Attributes:
@@ -123,7 +123,7 @@ class Layer:
     stack: Tensor
     place: int
 
-    def follows(self, other: Layer) -> bool:
+    def follows(self, other: FilteredLayer) -> bool:
         """Whether it can be filtered together with another layer, as the next one in a stack."""
         alike = self.alone == other.alone and "part" in self.tensors and "part" in other.tensors
         return alike and self.stack is other.stack and self.place == other.place + 1
@@ -189,7 +189,7 @@ class WindowGraph:
 
     def encode(self, commands: CommandBuffer, window: Window, model: str,
                tensors: Mapping[str, Tensor], targets: Targets, now: frozenset[str],
-               layers: Sequence[Layer] = (), lasting: Rows | None = None) -> None:
+               layers: Sequence[FilteredLayer] = (), lasting: Rows | None = None) -> None:
         """Record the work on a window of this graph's size.
 
         Args:
@@ -247,7 +247,7 @@ class WindowGraph:
                              history=rows_of(picture["next_history"], out),
                              output=rows_of(picture["output"], out))
 
-    def _encode_layers(self, commands: CommandBuffer, layers: Sequence[Layer], way: Way,
+    def _encode_layers(self, commands: CommandBuffer, layers: Sequence[FilteredLayer], way: Way,
                        buffers: ChainMap[str, Tensor], targets: Targets) -> None:
         """Record the work on layers that are filtered at once, after the picture's."""
         first, words = layers[0], self._gpu_words
@@ -394,7 +394,7 @@ class WindowGraph:
             for name, array in window.places().items()})
 
 
-def _share(layer: Layer, i: int, stacks: Mapping[str, Tensor], next_part: Tensor,
+def _share(layer: FilteredLayer, i: int, stacks: Mapping[str, Tensor], next_part: Tensor,
            factor: Tensor) -> Each:
     """Tensors that the kernels of the `i`-th layer read and write.
 
@@ -422,9 +422,9 @@ def _shaded(radiance: Tensor) -> Tensor:
     return radiance.view("radiance", (3, *size), (channels - 3) * math.prod(size))
 
 
-def _together(layers: Sequence[Layer], most: int) -> list[list[Layer]]:
+def _together(layers: Sequence[FilteredLayer], most: int) -> list[list[FilteredLayer]]:
     """Layers that are filtered at once, neighbours in a stack."""
-    found: list[list[Layer]] = []
+    found: list[list[FilteredLayer]] = []
     for layer in layers:
         if found and len(found[-1]) < most and layer.follows(found[-1][-1]):
             found[-1].append(layer)
