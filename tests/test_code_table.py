@@ -43,8 +43,8 @@ def test_lines_of_kernels_are_counted_by_language(tmp_path: Path) -> None:
 
 
 def test_lines_of_kernels_are_told_by_family_and_form(tmp_path: Path) -> None:
-    shared = "__device__ inline float both(float a) {\n    return a;\n}\n"
-    apart = "__device__ inline float apart(float a) { return a; }\n"
+    shared = "FN float both(float a) {\n    return a;\n}\n"
+    apart = "FN float apart(float a) { return a; }\n"
     for name, text in (("postfx/kernels/number.h", "FN float both(float a) { return a; }\n"),
                        ("postfx/kernels/denoise/a.h", "one\n"),
                        ("postfx/kernels/denoise/a.cpp", 3 * "one\n"),

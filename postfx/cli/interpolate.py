@@ -166,7 +166,8 @@ class Interpolation:
         self._sequence: Sequence = read_sequence(arguments.input, arguments.frames, **values)
         self._sequence.refuse_none()
         existing = ExistingFiles.OVERWRITE if arguments.overwrite else ExistingFiles.REFUSE
-        self._outputs: OutputFiles = OutputFiles(arguments.output, self._sequence, existing)
+        self._outputs: OutputFiles = OutputFiles(arguments.output, self._sequence, existing,
+                                                 can_skip=False)
         if self._outputs.display:
             raise WriteError(f"{arguments.output}: is for a display: write EXR and tone-map it "
                              "afterwards")
@@ -230,8 +231,8 @@ class Interpolation:
         found = self.summary
         kept = f"{found.kept} frames of {self._sequence.pattern}"
         lines = [f"wrote    {self._arguments.output}: {kept}, {found.made} new",
-                 f"time     {found.seconds:.1f} s, {found.seconds / max(found.made, 1):.2f} s a "
-                 "new frame"]
+                 f"time     {found.seconds:.1f} s"
+                 + (f", {found.seconds / found.made:.2f} s a new frame" if found.made else "")]
         lines += [f"repeated {len(found.repeated)} frames"] * bool(found.repeated)
         lines += [f"left out {len(found.skipped)} frames"] * bool(found.skipped)
         passed = ", ".join(f"{interval:g} ({count} times)"
@@ -248,6 +249,8 @@ class Interpolation:
     def _make(self, moment: Moment) -> tuple[Frame | None, str]:
         """The frame of a moment, with the reason if it is a repeated one; None with the reason if
         there is none."""
+        from postfx.interpolate import CUT_REASON
+
         frame = self._read(moment.start)
         following = self._read(moment.start + 1) if moment.t else frame
         missing = next((index for index, one
@@ -259,8 +262,14 @@ class Interpolation:
             return self._renumber(frame, moment), ""
         between = self._between_at(moment.start)
         made = between.frame(moment.t, moment.number, moment.previous)
-        nearer = self._sequence.numbers[moment.start + (moment.t >= 0.5)]
-        return made, f"repeats frame {nearer}, as {between.reason}" if between.reason else ""
+        if not between.reason:
+            return made, ""
+        first, second = self._sequence.numbers[moment.start : moment.start + 2]
+        is_gap = (between.reason == CUT_REASON
+                  and self._sequence.before(second, 1) != [first])
+        reason = (f"frames {first} and {second} do not follow each other" if is_gap
+                  else between.reason)
+        return made, f"repeats frame {second if moment.t >= 0.5 else first}, as {reason}"
 
     def _renumber(self, frame: Frame, moment: Moment) -> Frame:
         """A frame of the input as one of the output, with motion from the new frame before it."""
@@ -284,8 +293,9 @@ class Interpolation:
                     self._is_told = True
                     self._warn_of_left_out(frame)
                     if any(frame.jitter):
-                        self._sequence.warn("frames are jittered, which the output does not tell: "
-                                            "run 'postfx run' first, and interpolate its frames")
+                        self._sequence.warn("frames are jittered, and new ones between them are "
+                                            "not: run 'postfx run' first, and interpolate its "
+                                            "frames")
                 if self._arguments.planes:
                     frame = with_cryptomattes(frame)
                 self._first = self._first or frame.metadata

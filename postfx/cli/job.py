@@ -68,6 +68,7 @@ from postfx.files import WriteBehind, read_ahead, read_patiently
 from postfx.frame import Frame, FrameSpec, Part, Role
 from postfx.io.parts import group_parts
 from postfx.io.pattern import format_frames
+from postfx.io.read_options import ESTIMATED_MOTION
 from postfx.io.sequence import Sequence, read_sequence
 from postfx.io.writer import ExistingFiles, OutputFiles, write_frame
 from postfx.passes import Pass
@@ -229,6 +230,8 @@ class Job:
             self.skips += explain_overlay(self._arguments, files)
             self._channels = {role: match.names for role, match in files.layout.planes.items()}
             self._enable = files.layout.hints()
+            if self.sequence.options.motion == ESTIMATED_MOTION:  # which is no fault of the files
+                self._enable.pop(Role.MOTION, None)
             spec = files.spec()
             self.plan = self.pipeline.explain(self._backwards.spec(spec) if self._backwards
                                               else spec)
@@ -569,13 +572,16 @@ class Job:
         return list(dict.fromkeys([others[0], others[len(others) // 2], others[-1]]))
 
     def _planes_of_later_frames(self, numbers: list[int]) -> list[str]:
-        """A warning for planes that the first frame has and these lack, or else the reverse: the
-        plan is made for the first."""
+        """A warning for another size, for planes that the first frame has and these lack, or else
+        the reverse: the plan is made for the first."""
         spare: list[str] = []
         for number in numbers:
             try:
                 with self.sequence.reader().open(number) as files:
-                    planes = {*self.pipeline.explain(files.spec()).planes}
+                    spec = files.spec()
+                    if other := self._other_size(number, spec):
+                        return [other]
+                    planes = {*self.pipeline.explain(spec).planes}
                     has_motion = Role.MOTION in files.layout.planes
             except PostfxError:  # which is told where the frame's turn comes
                 continue
@@ -596,6 +602,15 @@ class Job:
                          "uses what is not in all; render it for every frame, or choose frames "
                          "that have it (--frames)"]
         return spare
+
+    def _other_size(self, number: int, spec: FrameSpec) -> str:
+        """A warning where a frame has not the first one's size; '' where it has, or any may."""
+        first = self.plan.input
+        if self._arguments.size or (spec.width, spec.height) == (first.width, first.height):
+            return ""
+        return (f"frame {number} is {spec.width}x{spec.height}, frame {self.first} "
+                f"{first.width}x{first.height}: the run ends there; render it at one size, or give "
+                "the output's with --size")
 
     @cached_property
     def _looker(self) -> FirstFrames | None:

@@ -142,20 +142,24 @@ def explain_kept(
                 _noisy(arguments, files))
     if arguments.keep == "all":
         return (f"keeps   {count}, enlarged by the nearest pixel, without the render's own colour",
-                [])
+                _noisy(arguments, files))
     return "", [Skip(count, "they have the render's size; --keep all enlarges them")]
 
 
 def _noisy(arguments: argparse.Namespace, files: FrameFiles) -> list[Skip]:
     """What is kept beside a denoised picture that no longer adds up to it."""
+    from postfx.passes.display import is_shown
     from postfx.plan import Skip
 
     if arguments.aov or arguments.no_denoise or arguments.strength == 0:
         return []
     layers = files.known_parts()
     more = f" and {len(layers) - SHOWN_PARTS} more" if len(layers) > SHOWN_PARTS else ""
+    shown = is_shown(False, **RUN.values_for("look", arguments))
+    remedy = ("only scene-linear output has denoised ones" if shown
+              else "--aov auto denoises them, too")
     return [Skip(f"{', '.join(layers[:SHOWN_PARTS])}{more}",
-                 "kept as noisy as they are; --aov auto denoises them, too")] if layers else []
+                 f"kept as noisy as they are; {remedy}")] if layers else []
 
 
 # Logs and resuming
@@ -272,8 +276,8 @@ DENOISING = Section("denoising and size", (
            help="output size over render size, 1 to 3, e.g. 2 for frames twice as large (default: "
            "1, or the guides' size)"),
     Option(flag="--denoise-only", basic=True, either="size", sets="denoiser.scale",
-           convert=lambda _: 1.0, excludes=_FOR_DENOISER,
-           help="keep the render's size even if there are larger guides; the same as --scale 1"),
+           convert=lambda _: 1.0, also={"sequence.own_size": bool}, excludes=_FOR_DENOISER,
+           help="keep the render's size, as --scale 1 does, and leave out larger guides"),
     Option(flag="--size", metavar="WxH", type=parse_size, either="size", sets="denoiser.size",
            excludes=_FOR_DENOISER,
            help="size of the output, overscan included, e.g. 1920x1080. The render's size may then "

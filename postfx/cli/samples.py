@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     import numpy as np
 
     from postfx.frame import Frame
-    from postfx.io.sequence import Sequence
     from postfx.tools.adaptive.plan import Outlook, Tiles
 
 DESCRIPTION = """\
@@ -130,8 +129,8 @@ class SamplesJob:
         self._errors = Sequence(arguments.error) if arguments.error else None
         self._meter = ExposureMeter(arguments.exposure)
         existing = ExistingFiles.OVERWRITE if arguments.overwrite else ExistingFiles.REFUSE
-        self._outputs = (OutputFiles(arguments.output, self._sequence, existing) if arguments.output
-                         else None)
+        self._outputs = (OutputFiles(arguments.output, self._sequence, existing, can_skip=False)
+                         if arguments.output else None)
         if self._outputs:
             if self._outputs.display:
                 raise WriteError(f"{arguments.output}: maps are EXR files: --pictures writes PNG")
@@ -141,6 +140,7 @@ class SamplesJob:
         self.plan: list[np.ndarray] = []
         self._thumbs: list[np.ndarray] = []
         self.sources: set[str] = set()
+        self._tell: Callable[[str], None] = lambda text: None
 
     def measure(self) -> None:
         """Find the tiles of all frames, and plan their samples."""
@@ -152,6 +152,7 @@ class SamplesJob:
         from postfx.tools.adaptive.plan import make_tiles, plan_samples
 
         with FrameProgress(len(self._sequence), self._is_quiet) as progress:
+            self._tell = progress.note
             progress.start(0)
             for frame, denoised, error in self._frames():
                 seconds = self._arguments.seconds or render_seconds(frame.metadata)
@@ -252,8 +253,7 @@ class SamplesJob:
                 denoised = [one.read(frame.number)[Role.COLOUR] for one in self._denoised]
             elif error is None:
                 # What is denoised of a half must not know the other one, not even by its history.
-                denoisers = denoisers or [self._make_denoiser(half)
-                                          for half in (*self._halves, self._sequence)]
+                denoisers = denoisers or self._make_denoisers()
                 denoised = [denoise(render)[Role.COLOUR]
                             for denoise, render in zip(denoisers, renders, strict=False)]
             if len(renders) > 1:
@@ -292,7 +292,8 @@ class SamplesJob:
                                     "error', or leave --error out")
         return found
 
-    def _make_denoiser(self, sequence: Sequence) -> Any:
+    def _make_denoisers(self) -> list[Any]:
+        """A denoiser for INPUT, or for both halves and what they are together."""
         from postfx.cli.usual_network import choose_network
         from postfx.passes.denoise import DenoiseUpscale
         from postfx.pipeline import Pipeline
@@ -302,9 +303,12 @@ class SamplesJob:
         device = Device(self._arguments.device)
         options = {"scale": 1.0, **SAMPLE_OPTIONS.values_for("denoiser", self._arguments)}
         if "model" not in options:
-            with sequence.open(sequence.numbers[0]) as files:
+            with self._sequence.open(self._sequence.numbers[0]) as files:
                 options["model"] = choose_network(files.spec(), options, device).network
-        return Pipeline([DenoiseUpscale(**options)], device, run_up=RunUp(sequence))
+            self._tell(f"denoising with {options['model']}, as 'postfx run' does; --denoised takes "
+                       "the frames that a run has made")
+        shots = [*self._halves, self._sequence] if len(self._halves) > 1 else [self._sequence]
+        return [Pipeline([DenoiseUpscale(**options)], device, run_up=RunUp(shot)) for shot in shots]
 
     def _samples(self, frame: Frame) -> Any:
         """Samples of each pixel, or of all; a half has half of them."""

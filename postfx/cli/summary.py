@@ -509,7 +509,7 @@ class Report:
         return rows + ([(f"{more} more frames", "likewise")] if more > 0 else [])
 
     def _speed(self) -> str:
-        if not self.frame_ms:
+        if not self.frame_ms or not self.frames:
             return ""
         return (f", {self.frames / self.seconds:.2f} frames/s, {median(self.frame_ms):.0f} ms a "
                 "frame in the passes")

@@ -185,6 +185,12 @@ def open_library(name: str, header: Path | None = None, level: str | None = None
     return ctypes.CDLL(str(path))
 
 
+def library_of(name: str) -> Path:
+    """The file of the library that has a function of ours, for this processor's level. Raises
+    DeviceError where there is none and none can be made."""
+    return Path(open_library(name)._name)
+
+
 def _no_kernel(where: Path, name: str) -> BindingError:
     return BindingError(f"{where} exports no kernel '{name}': write EXPORT({name}, rows) there")
 

@@ -315,6 +315,10 @@ class DepthOption:
         )
 
 
+HALF_TURN = 180.0
+"""Degrees: every field of view is smaller."""
+
+
 def parse_depth(text: str) -> DepthOption:
     """Option of a text: one of `DEPTH_KIND_WORDS`, then near=, far=, fov= (degrees), miss= or
     scale=, parted by commas.
@@ -339,6 +343,9 @@ def parse_depth(text: str) -> DepthOption:
         endless = math.isinf(numbers[name]) and name in _ENDLESS
         if not (math.isfinite(numbers[name]) or endless) or (name == "scale" and not numbers[name]):
             raise DepthOptionError(f"depth '{text}': {name} cannot be {value}")
+        if name == "fov" and not 0 < numbers[name] < HALF_TURN:
+            raise DepthOptionError(f"depth '{text}': fov cannot be {value}: give degrees between 0 "
+                                   "and 180")
     unknown = sorted(set(numbers) - set(_NUMBERS))
     if unknown:
         raise DepthOptionError(f"depth '{text}': unknown '{unknown[0]}': use {', '.join(_NUMBERS)}")
@@ -350,7 +357,8 @@ def missing_number(rule: PlaneRule, camera: Camera) -> str | None:
     """What is needed to convert a depth plane and not known: 'near', 'far' or 'fov'; None when
     nothing is."""
     if rule.kind == "ray":
-        return "fov" if camera.fov_x is None else None
+        is_known = camera.fov_x is not None and 0 < camera.fov_x < HALF_TURN
+        return None if is_known else "fov"
     if rule.kind in ("device", "normalised") and camera.near is None:
         return "near"
     return "far" if rule.kind == "normalised" and camera.far is None else None

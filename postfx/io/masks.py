@@ -233,8 +233,9 @@ class LeftAlone:
         return found[0]
 
     def _unknown_error(self, entry: Entry, layers: list[CryptomattePlanes]) -> StrengthError:
-        near = [name for layer in layers for name in layer.about.nearest(entry)]
-        names = near or [name for layer in layers for name in layer.about.manifest or ()]
+        near = dict.fromkeys(name for layer in layers for name in layer.about.nearest(entry))
+        every = dict.fromkeys(name for layer in layers for name in layer.about.manifest or ())
+        names = [*(near or every)]
         kind = "nearest" if near else "some of its names"
         shown = (", ".join(f"'{name}'" for name in names[:MOST_LISTED_NAMES])
                  or "none, the manifest is empty")

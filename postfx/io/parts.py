@@ -3,7 +3,7 @@ by name."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -109,11 +109,11 @@ def find_parts(options: PartOptions, index: ChannelIndex, layout: Layout, path: 
         if not matches and name != AUTO_PARTS:
             matches = _by_name(index, name)
         if not matches and name == AUTO_PARTS:
-            layout.warnings.append("--aov auto: no light groups or passes are known by profile "
-                                   f"{layout.profile.name}; if there are any, name them, as "
-                                   "--aov key,fill")
+            layout.warnings.append("--aov auto: the files hold no light groups or passes that "
+                                   f"profile {layout.profile.name} knows; if they hold others, "
+                                   "name them, as --aov key,fill")
         elif not matches:
-            raise _missing_error(name, index, path)
+            raise _missing_error(name, index, path, known=_by_profile(index, layout, "*"))
         taken = {part.channels for part in found.values()}
         found |= {layer: part for layer, part in matches.items() if part.channels not in taken}
     for name, kind in options.planes:
@@ -193,15 +193,21 @@ def _size(channels: tuple[Channel, ...]) -> tuple[int, int]:
     return area.width, area.height
 
 
-def _missing_error(name: str, index: ChannelIndex, path: str,
-                   option: str = "--aov") -> MissingPlaneError:
-    held = "; ".join(index.contents()[:SHOWN_LAYERS]) or "nothing"
+def _missing_error(name: str, index: ChannelIndex, path: str, option: str = "--aov",
+                   known: Container[str] = ()) -> MissingPlaneError:
+    """An error that lists the file's layers, light groups and passes (`known`) first."""
+    layers = index.contents()
+    layers.sort(key=lambda layer: layer.rpartition(".")[0] not in known)
+    more = f"; and {len(layers) - SHOWN_LAYERS} more" if len(layers) > SHOWN_LAYERS else ""
+    held = "; ".join(layers[:SHOWN_LAYERS]) + more if layers else "nothing"
     return MissingPlaneError(f"{path}: no layer '{name}' for {option}: it holds {held}")
 
 
 LAYER_SUM_TOLERANCE = 3e-3
 """Layers add up to the picture if their sum differs by less than this share of its light."""
 
+_SEEN_BELOW = 1e-5
+"""Share of the picture's light: less of it below 0 is rounding in a layer without light."""
 _SAMPLED_ROW_STEP = 8
 """One row in so many is looked at."""
 _MOST_COMBINED_LAYERS = 14
@@ -250,7 +256,7 @@ def group_parts(parts: Iterable[Part], picture: np.ndarray, pixels: Mapping[str,
     light = np.abs(seen)
     is_known = np.isfinite(excess) & np.isfinite(light)
     lights = [part.name for part in parts if part.is_light and part.name in pixels]
-    below = [name for name in lights if _is_below(pixels[name])]
+    below = [name for name in lights if _is_below(pixels[name], picture)]
     notes = ([f"layers {', '.join(below)} have light below 0: it is denoised apart, and stays"]
              if below else [])
     if (not named or excess[is_known].sum(dtype=np.float64)
@@ -272,12 +278,13 @@ def group_parts(parts: Iterable[Part], picture: np.ndarray, pixels: Mapping[str,
     return grouped, notes
 
 
-def _is_below(part: np.ndarray) -> bool:
-    """Whether a part has light below 0, by every eighth row."""
-    seen = part[::_SAMPLED_ROW_STEP]
-    seen = seen[np.isfinite(seen)]
-    return bool(np.maximum(-seen, 0).sum(dtype=np.float64) > LAYER_SUM_TOLERANCE * np.abs(seen)
-                .sum(dtype=np.float64))
+def _is_below(part: np.ndarray, picture: np.ndarray) -> bool:
+    """Whether a part of a picture has light below 0 that can be seen, by every eighth row."""
+    own, whole = (light[::_SAMPLED_ROW_STEP] for light in (part, picture))
+    own, whole = (light[np.isfinite(light)].astype(np.float64) for light in (own, whole))
+    under = np.maximum(-own, 0).sum()
+    return bool(under > LAYER_SUM_TOLERANCE * np.abs(own).sum()
+                and under > _SEEN_BELOW * np.abs(whole).sum())
 
 
 def read_parts(files: Mapping[str, ImageFile],

@@ -409,7 +409,9 @@ def _one_sequence(patterns: list[Pattern], source: str) -> Pattern:
     """The one pattern, or the one that fits them all, each of another plane; else SequenceError."""
     together = patterns[0] if len(patterns) == 1 else _one_file_a_plane(patterns)
     if together is None:
-        names = [Path(str(pattern)).name for pattern in patterns]
+        folders = {Path(str(pattern)).parent for pattern in patterns}
+        names = [Path(str(pattern)).name if len(folders) == 1 else str(pattern)
+                 for pattern in patterns]
         views = sorted({name.replace("right", VIEW_FIELD) for name in names if "right" in name}
                        & {name.replace("left", VIEW_FIELD) for name in names if "left" in name})
         also = f", or all views by {views[0]}" if views else ""

@@ -66,6 +66,7 @@ class ReadOptions:
         motion: 'file' takes motion from the files alone. 'auto' estimates it from albedo, normal
             and depth, and those of the frame before, where files have none, or zeros although the
             planes move; 'estimate' always does.
+        own_size: whether guides are left out, in files of their own and among the frames' AOVs.
         scratch: memory that planes lie in, and are read into piece by piece; None for arrays of
             NumPy.
     """
@@ -85,6 +86,7 @@ class ReadOptions:
     aov_denoise: str | None = None
     clamp_fireflies: float | None = None
     motion: str = FILE_MOTION
+    own_size: bool = False
     scratch: Scratch | None = None
 
     def __post_init__(self) -> None:

@@ -300,6 +300,9 @@ class Planner:
     def finish(self, guiding: ReadPlan | None, path: Path | None) -> ReadPlan:
         """The plan. guiding, path: of guides in files of their own."""
         layout, guides = self._layout, self._guides
+        if guides and self._options.own_size:
+            layout.warnings.append(f"AOVs {', '.join(guides)} are larger than the colour: not read")
+            guides = {}
         if guiding and path:
             if guides:
                 layout.warnings.append(

@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import update_wrapper
 from inspect import Signature, signature
 from itertools import takewhile
+from numbers import Integral
 from operator import index
 from pathlib import Path
 from typing import TYPE_CHECKING, Concatenate, ParamSpec
@@ -99,13 +100,14 @@ class Sequence:
         self.guides = self._find_guides()
         self.warnings: list[str] = []
         self._warn_of_overlooked()
+        if options.guides is not None and options.own_size:
+            self.warn(f"{options.guides}: guides are not read, as frames keep their own size")
 
         # Which frames are wanted.
         self._step = _step(self.present())
         self._last: int | None = None
-        wanted = options.frames if options.frames is not None else named or self._on_disk()
-        if isinstance(wanted, int):
-            wanted = [wanted]
+        asked = options.frames if options.frames is not None else named or self._on_disk()
+        wanted = [int(asked)] if isinstance(asked, int | Integral) else asked  # or NumPy's
         try:
             self.numbers = tuple(
                 parse_frames(wanted) if isinstance(wanted, str) else map(index, wanted)
@@ -472,7 +474,7 @@ class Sequence:
     def _find_guides(self) -> Sequence | None:
         """Files of guides, of the same views where these have files of their own."""
         options = self.options
-        if options.guides is None:
+        if options.guides is None or options.own_size:
             return None
         own = ",".join(filter(None, self._known_views)) if self.pattern.has_views else None
         return Sequence(

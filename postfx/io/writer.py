@@ -26,6 +26,7 @@ from postfx.frame import LINEAR, TOLD, Frame, Role
 from postfx.io.encoder import cut_pieces, display_of, encode_all, encode_pixel, tag_codes
 from postfx.io.exr import Header
 from postfx.io.exr.container import COMPRESSIONS, Rows, can_compress
+from postfx.io.exr.passthrough import JITTER
 from postfx.io.exr.picture import (
     Picture,
     PictureHeader,
@@ -186,13 +187,19 @@ def write_frame(
     exact = any(source.exact for name, source in frame.part_sources.items() if name in frame.parts)
     half = not exact if bits is None else bits == 16
     with output_file(path) as temporary:
-        found = [(view, *find_light_plan(view, half, compression, provenance or {}))
+        found = [(view, *find_light_plan(view, half, compression,
+                                         {**(provenance or {}), **_tell_jitter(view)}))
                  for view in (frame, *frame.views.values())]
         keep = not found[0][1].is_enlarged if keep is None else keep
         notes = _write_light(temporary, found, keep, relax)
     for note, *facts in notes:
         TOLD.warning(note, path, *facts)
     return path
+
+
+def _tell_jitter(frame: Frame) -> dict[str, Any]:
+    """The attribute of a frame's jitter, where its samples still lie off the pixels' centres."""
+    return {} if frame.jitter == (0.0, 0.0) else {JITTER: tuple(map(float, frame.jitter))}
 
 
 def _write_light(path: Path, found: list[tuple[Frame, LightPlan, Header]], keep: bool,
@@ -453,14 +460,17 @@ class OutputFiles:
     unknown, when several frames would share a file, when views that were read from files of their
     own would, or when an output would be an input; OutputExistsError from `check`.
 
+    `can_skip`: whether the command that writes them has --skip-existing.
+
     Attributes:
         display: whether they are pictures for a display.
         has_views: whether every view has a file of its own.
     """
 
     def __init__(self, target: str, sequence: Sequence,
-                 existing: ExistingFiles = ExistingFiles.REFUSE) -> None:
+                 existing: ExistingFiles = ExistingFiles.REFUSE, can_skip: bool = True) -> None:
         self.existing, self._sequence = existing, sequence
+        self._can_skip = can_skip
         target = with_slashes(os.path.expanduser(target))
         if target == "-":
             raise WriteError("-: frames are written to files, not to standard output: write it "
@@ -515,8 +525,8 @@ class OutputFiles:
         if self.existing is ExistingFiles.REFUSE:
             for path in self._guess_paths(numbers):
                 if os.path.lexists(path):
-                    raise OutputExistsError(f"{path}: is already there: give --overwrite or "
-                                            "--skip-existing")
+                    ways = "--overwrite or --skip-existing" if self._can_skip else "--overwrite"
+                    raise OutputExistsError(f"{path}: is already there: give {ways}")
 
     def check_storage(self, encoding: str, bits: int | None = None,
                       compression: str = "zip") -> None:

@@ -119,6 +119,15 @@ struct alignas(16) Four {
     float x, y, z, w;
 };
 
+FN Four operator*(const Four& value, float by) {
+    return {value.x * by, value.y * by, value.z * by, value.w * by};
+}
+
+FN void add(Four& sum, const Four& value, float weight) {
+    sum = {sum.x + weight * value.x, sum.y + weight * value.y, sum.z + weight * value.z,
+           sum.w + weight * value.w};
+}
+
 // The floats of a tensor from 2 * index or 4 * index on; tensors begin at multiples of 256 bytes.
 FN Pair& pair(const View& view, size_t index) { return reinterpret_cast<Pair*>(view.at)[index]; }
 
@@ -152,10 +161,6 @@ FN Four recalled_four(const View& state, size_t a, size_t b, size_t c, size_t d,
             between(p.z, q.z, r.z, s.z, tx, ty), between(p.w, q.w, r.w, s.w, tx, ty)};
 }
 
-FN Four scaled(const Four& value, float by) {
-    return {value.x * by, value.y * by, value.z * by, value.w * by};
-}
-
 // Whether the history lacks more than a trace of a pixel, by the counts of its neighbours and their
 // weights.
 FN bool is_unknown(float a, float b, float c, float d, float tx, float ty) {
@@ -179,8 +184,8 @@ FN Recalled recall(const View& state, const View& last_depth, float px, float py
         return {{0.0f, 0.0f, 0.0f, -1.0f}, {}, {}, 1.0f, 0.0f};
     Four mean = recalled_four(state, a, b, c, d, tx, ty);
     mean.w *= share;  // the mean colour is what it is, but counts less
-    return {mean, scaled(recalled_four(state, a + 1, b + 1, c + 1, d + 1, tx, ty), share),
-            scaled(recalled_four(state, a + 2, b + 2, c + 2, d + 2, tx, ty), share), depth, share};
+    return {mean, recalled_four(state, a + 1, b + 1, c + 1, d + 1, tx, ty) * share,
+            recalled_four(state, a + 2, b + 2, c + 2, d + 2, tx, ty) * share, depth, share};
 }
 
 // Eight neighbouring numbers in half precision, as their bits, read or written in one transfer.
@@ -402,23 +407,20 @@ FN Four cubic_weights(float t) {
             ((a * s - 5.0f * a) * s + 8.0f * a) * s - 4.0f * a};
 }
 
-// Four pixels of a row, weighted; `columns` are those of their first channels.
-FN Colour row_of(const float* row, const int (&columns)[4], const Four& weights) {
-    const float* p = row + columns[0];
-    const float* q = row + columns[1];
-    const float* r = row + columns[2];
-    const float* s = row + columns[3];
-    return {weights.x * p[0] + weights.y * q[0] + weights.z * r[0] + weights.w * s[0],
-            weights.x * p[1] + weights.y * q[1] + weights.z * r[1] + weights.w * s[1],
-            weights.x * p[2] + weights.y * q[2] + weights.z * r[2] + weights.w * s[2]};
-}
-
 // Four rows, weighted.
 FN Colour column_of(const Colour& first, const Colour& second, const Colour& third,
                     const Colour& last, const Four& weights) {
-    return {weights.x * first.r + weights.y * second.r + weights.z * third.r + weights.w * last.r,
-            weights.x * first.g + weights.y * second.g + weights.z * third.g + weights.w * last.g,
-            weights.x * first.b + weights.y * second.b + weights.z * third.b + weights.w * last.b};
+    Colour sum = first * weights.x;
+    add(sum, second, weights.y);
+    add(sum, third, weights.z);
+    add(sum, last, weights.w);
+    return sum;
+}
+
+// Four pixels of a row, weighted; `columns` are those of their first channels.
+FN Colour row_of(const float* row, const int (&columns)[4], const Four& weights) {
+    return column_of(three(row + columns[0]), three(row + columns[1]), three(row + columns[2]),
+                     three(row + columns[3]), weights);
 }
 
 // Where a pixel was in a picture before: by how much it moved, and the first row and column of its

@@ -122,11 +122,6 @@ FN float level_of(const Colour& colour, const Four* numbers) {
     return level;
 }
 
-FN void add(float weight, const Four& from, Four& to) {
-    to = {to.x + weight * from.x, to.y + weight * from.y, to.z + weight * from.z,
-          to.w + weight * from.w};
-}
-
 FN float applied(const Four& row, const Colour& colour) {
     return row.x * colour.r + row.y * colour.g + row.z * colour.b + row.w;
 }
@@ -152,9 +147,9 @@ extern "C" __global__ void slice_apply(View colour, View params, View matrix, Vi
                              * (corner & 2 ? column.share : 1.0f - column.share)
                              * (corner & 1 ? level.share : 1.0f - level.share);
         const int cell = 3 * ((j * cells_wide + i) * levels + k);
-        add(weight, four(grid, cell), red);
-        add(weight, four(grid, cell + 1), green);
-        add(weight, four(grid, cell + 2), blue);
+        add(red, four(grid, cell), weight);
+        add(green, four(grid, cell + 1), weight);
+        add(blue, four(grid, cell + 2), weight);
     }
     const Colour found = looked_up(cube,
                                    {applied(red, seen), applied(green, seen), applied(blue, seen)});

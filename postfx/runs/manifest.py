@@ -167,6 +167,8 @@ class Verification:
 
 def verify(folder: Path) -> Verification:
     """Check a folder; ManifestError if it has no manifest."""
+    if not os.path.isdir(folder):
+        raise ManifestError(f"{folder}: no such folder: give the one that 'postfx run' wrote to")
     if not os.path.isfile(folder / MANIFEST_NAME):
         raise ManifestError(f"{folder}: has no {MANIFEST_NAME}: give the folder that 'postfx run' "
                             "wrote to")

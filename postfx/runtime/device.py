@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from postfx.compiled.calls import BoundRows
+from postfx.compiled.library import has_byte_products
 from postfx.errors import BindingError, DeviceError, ModelError, PostfxError
 from postfx.frame import LOG
 from postfx.kernels import find_source
@@ -42,6 +43,7 @@ from postfx.runtime.memory import (
 )
 from postfx.runtime.model_file import Product, fix_dimensions, take_products
 from postfx.runtime.models import Library
+from postfx.runtime.own_convolutions import with_own_convolutions
 from postfx.runtime.session import (
     CPU,
     Placement,
@@ -265,7 +267,7 @@ class Device:
     def pipeline_state(
         self, library: Library, name: str, dims: Dims | None = None,
         in_place: Mapping[str, str] | None = None, threads: int | None = None,
-        heads: Mapping[str, Head] | None = None, codes: bool = False,
+        heads: Mapping[str, Head] | None = None, own_kernels: bool = False,
     ) -> PipelineState:
         """A network of a library, with its free dimensions fixed.
 
@@ -279,8 +281,9 @@ class Device:
                 few streams, unless it is `in_place`.
             heads: outputs that become others where our own kernels run the network. The state's
                 bindings tell.
-            codes: whether a CPU leaves integer products at the end of the network to the caller:
-                the state's `products`.
+            own_kernels: whether a CPU runs parts of the network by kernels of ours: convolutions
+                of 3x3 pixels in float32, and integer products at the end, which are left to the
+                caller as the state's `products`.
 
         Raises ModelError when the model is missing, damaged or cannot run here, a dimension is left
         free, or two bindings cannot be one.
@@ -309,8 +312,9 @@ class Device:
         stream = self.memory.stream_beside() if narrow else self.placement.stream
         placement = replace(self.placement, threads=taken, stream=stream)
         products: dict[str, Product] = {}
-        if codes and placement.provider == CPU:
-            content, products = take_products(content)
+        if own_kernels and placement.provider == CPU:
+            content, products = take_products(content) if has_byte_products() else (content, {})
+            content = with_own_convolutions(content)
         session = self._session(content, library, name, placement, fixed)
         self.name_model(library, name)
 
@@ -322,6 +326,7 @@ class Device:
                 return None
             again = _load(library, name, fixed)
             given = take_products(again)[0] if products else again
+            given = with_own_convolutions(given) if own_kernels else given
             return Session(given, name, replace(placement, stream=0), named,
                            library.path(name).parent, of_its_own=True).intermediates()
 

@@ -28,6 +28,7 @@ MOST_PARTS = 1_000_000
 
 class _ModelField:
     GRAPH = 7
+    OPSET_IMPORT = 8
     TRAINING_INFO = 20
     FUNCTIONS = 25
 
@@ -102,6 +103,8 @@ class _ElementType:
     FLOAT16 = 10
 
 
+FLOAT = _ElementType.FLOAT
+"""ONNX's number of the element type float32."""
 _INTEGERS = 7
 """Type of an attribute that holds several integers."""
 
@@ -466,6 +469,38 @@ def _product(output: str, makers: Mapping[str, Node],
     if np.abs(found).max(initial=0) > MOST_FACTOR:
         return None
     return codes_name, found.astype(np.int8)
+
+
+def swap_nodes(content: bytes, swapped: Mapping[int, Node | None]) -> bytes:
+    """A model's file in which other nodes without attributes stand in for some, by their places;
+    None: nothing does."""
+    def change(graph: memoryview) -> bytes:
+        parts: list[bytes | memoryview] = []
+        places = count()
+        for number, _, raw in _fields(graph):
+            place = next(places) if number == _GraphField.NODE else -1
+            if place not in swapped:
+                parts.append(raw)
+            elif node := swapped[place]:
+                parts.append(_as_field(_GraphField.NODE, _as_node(node)))
+        return b"".join(parts)
+
+    return _replace(content, (_ModelField.GRAPH,), change)
+
+
+def import_operators(content: bytes, domain: str) -> bytes:
+    """A model's file that may use the first version of a domain's operators."""
+    name, version = 1, 2  # fields of OperatorSetIdProto
+    imported = _as_field(name, domain.encode()) + _as_number(version, 1)
+    return content + _as_field(_ModelField.OPSET_IMPORT, imported)
+
+
+def _as_node(node: Node) -> bytes:
+    """A node without attributes."""
+    texts = [*((_NodeField.INPUT, name) for name in node.inputs),
+             *((_NodeField.OUTPUT, name) for name in node.outputs),
+             (_NodeField.OP_TYPE, node.operator), (_NodeField.DOMAIN, node.domain)]
+    return b"".join(_as_field(number, words.encode()) for number, words in texts)
 
 
 def _name_of(message: memoryview) -> str:

@@ -28,6 +28,7 @@ import numpy as np
 from postfx.errors import DeviceError, ModelError
 from postfx.files import atomic_file, parse_json
 from postfx.runtime.model_file import read_tables
+from postfx.runtime.own_convolutions import has_own_convolutions, operators_library
 from postfx.runtime.tensor import Tensor, element_type
 from postfx.system import held_bytes, private_folder, return_free_memory, usable_memory
 
@@ -204,6 +205,8 @@ class Session:
     ) -> None:
         def options() -> ort.SessionOptions:
             found = session_options(placement, dims, not of_its_own)
+            if has_own_convolutions(model):
+                found.register_custom_ops_library(str(operators_library()))
             if exclusive:
                 found.add_session_config_entry("session.disable_cpu_ep_fallback", "1")
             if folder is not None:

@@ -255,7 +255,9 @@ def test_the_plane_error_of_a_file_counts(tmp_path: Path, capsys):
     assert (found["samples.Y"][40, 3] == 4 * MOST_SAMPLES_FACTOR
             and found["samples.Y"].sum() == 4 * MOST_SAMPLES_FACTOR * 1024)
     assert found["error.Y"][40, 3] == pytest.approx(1e-2) and found["after.Y"][40, 3] < 5e-3
-    assert main(words) == 2 and "is already there" in capsys.readouterr().err
+    assert main(words) == 2
+    told = capsys.readouterr().err
+    assert "is already there: give --overwrite" in told and "--skip-existing" not in told
 
 
 def test_two_halves_of_a_shot_are_one_with_all_samples(tmp_path: Path, capsys):
@@ -269,6 +271,8 @@ def test_two_halves_of_a_shot_are_one_with_all_samples(tmp_path: Path, capsys):
     facts = json.loads(capsys.readouterr().out)
     assert (facts["error_from"] == ["two halves of the samples"]
             and facts["frames"][0]["samples"] == 16)
+    assert main([*words[:4], "--json"]) == 0
+    assert ", as 'postfx run' does; --denoised takes the frames that" in capsys.readouterr().err
     assert main([*words, "--profile", "generic"]) == 0
     assert json.loads(capsys.readouterr().out)["frames"] == facts["frames"]
     assert main([*words, "--denoised", names[0], names[1]]) == 2

@@ -60,3 +60,20 @@ def test_depth_may_be_said_to_be_reversed(postfx, two_shots):
     done = postfx("run", "in/", "-o", "out/####.png", "--depth", "reversed,near=0.1", "--frames",
                   "1")
     assert done.code == 0, done.err
+
+
+def test_an_estimate_that_was_asked_for_is_not_told_as_missing_vectors(postfx, write_exr, tmp_path):
+    random = np.random.default_rng(1)
+    names = [f"{layer}.{letter}" for layer in ("Combined", "Diffuse Color", "Normal")
+             for letter in ("XYZ" if layer == "Normal" else "RGB")]
+    for number in (1, 2):
+        planes = {f"ViewLayer.{name}": random.random((40, 56), np.float32) for name in names}
+        vectors = {f"ViewLayer.Vector.{letter}": np.ones((40, 56), np.float32) for letter in "XYZW"}
+        write_exr(f"with/a.{number}.exr", planes | vectors, Software="Blender 5.0.1")
+        write_exr(f"without/a.{number}.exr", planes, Software="Blender 5.0.1")
+    missing = "AOV motion: not in the file"
+    for folder, motion, is_told in (("with", "estimate", False), ("without", "auto", True)):
+        done = postfx("run", f"{folder}/a.#.exr", "-o", f"{folder}/out.#.exr", "--motion", motion,
+                      "--model", "s")
+        assert done.code == 0 and "motion is estimated from" in done.err, done.err
+        assert (missing in done.err) == is_told

@@ -56,6 +56,20 @@ def test_larger_files_of_one_file_a_plane_are_guides(postfx, write_exr):
     assert done.json["guides"]["used"] == ["diffuse_albedo"] and done.json["guides"]["width"] == 144
 
 
+def test_the_render_s_size_leaves_guides_out(postfx, shot, guides, write_exr):
+    shot(1)
+    guides(1)
+    done = postfx(*RUN, *GUIDES, "--denoise-only", "--json")
+    assert done.code == 0 and done.json["guides"] is None
+    assert "guides.####.exr: guides are not read, as frames keep their own size" in done.err
+    assert "profile generic (Generic names), 48x32" in postfx("inspect", "out/shot.####.exr").out
+    write_exr("two/beauty.0001.exr", {c: np.ones((32, 48)) for c in "RGB"})
+    write_exr("two/albedo.0001.exr", {c: np.full((96, 144), 0.5) for c in "RGB"})
+    done = postfx("run", "two/", "-o", "own/x.####.exr", "--denoise-only")
+    assert done.code == 0 and "48x32, not enlarged" in done.err
+    assert "AOVs diffuse_albedo are larger than the colour: not read" in done.err
+
+
 def test_a_scale_that_fits_is_taken_and_another_is_refused(postfx, shot, guides):
     shot(1)
     guides(1)

@@ -87,3 +87,10 @@ def test_models_lists_every_model_with_its_card(postfx):
     done = postfx("models", "--json")
     assert done.code == 0
     assert set(done.json) == {path.stem for path in library.models_dir().glob("*.onnx")}
+
+
+def test_verify_of_a_folder_that_is_not_there(postfx, tmp_path):
+    (tmp_path / "there").mkdir()
+    for folder, told in (("gone", "no such folder"), ("there", "has no postfx.manifest.json")):
+        done = postfx("verify", folder)
+        assert done.code == 2 and f"{folder}: {told}" in done.err

@@ -45,6 +45,13 @@ def test_a_lost_frame_is_made_anew_to_the_bit(lost, postfx, dynamic, tmp_path):
     assert frame.read_bytes() == whole
 
 
+def test_another_size_is_told_before_the_first_frame(postfx, dynamic):
+    done = postfx(*RUN)
+    told = "warning  frame 2 is 36x24, frame 1 48x32: the run ends there"
+    assert done.code == 2 and done.err.index(told) < done.err.index("1/4 out/"), done.err
+    assert "the run ends there" not in postfx(*RUN, "--size", "72x48", "--overwrite").err
+
+
 def test_explain_tells(postfx, dynamic):
     told = postfx(*RUN[:2], "--size", "72x48", "--explain").out
     assert "48x32 -> 72x48; network m; stays 72x48 where frames change their size" in told

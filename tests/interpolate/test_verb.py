@@ -155,12 +155,26 @@ def write_groups(scene, folder: Path, key_light: tuple[float, ...] = (1, 1, 1)) 
     return f"{folder}/in/"
 
 
+def test_frames_that_were_not_asked_for_are_no_cut(write_exr, tmp_path, capsys):
+    for number in (1, 2, 3):
+        planes = {name: np.full((32, 48), 0.1 * number) for name in "RGB"}
+        write_exr(f"in/a.{number:04d}.exr", planes)
+    words = ["interpolate", str(tmp_path / "in"), "-o", f"{tmp_path}/out/", "--frames", "1,3"]
+    assert main(words) == 0
+    printed = capsys.readouterr()
+    assert "as frames 1 and 3 do not follow each other" in printed.err
+    assert "s a new frame" not in printed.out
+    assert main(words) == 2
+    told = capsys.readouterr().err
+    assert "is already there: give --overwrite" in told and "--skip-existing" not in told
+
+
 def test_jittered_frames_are_told_to_be_denoised_first(write_exr, tmp_path, capsys):
     for number in (1, 2):
         planes = {name: np.full((32, 48), 0.1 * number) for name in "RGB"}
         write_exr(f"in/a.{number:04d}.exr", planes, postfx__jitter=(0.25, -0.25))
     assert main(["interpolate", str(tmp_path / "in"), "-o", f"{tmp_path}/out/"]) == 0
-    assert "frames are jittered, which the output does not tell" in capsys.readouterr().out
+    assert "frames are jittered, and new ones between them are not" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("more", [[], ["--planes"]])

@@ -110,6 +110,8 @@ def test_what_is_missing_is_named(write_depth, option, message):
         ("ray,zoom=2", "unknown 'zoom': use near, far, fov, miss, scale"),
         ("device,near=1,near=2", "near is given twice: give it once"),
         ("planar,scale=0", "scale cannot be 0"),
+        ("ray,fov=0", "depth 'ray,fov=0': fov cannot be 0: give degrees between 0 and 180"),
+        ("ray,fov=180", "fov cannot be 180"),
         ("planar,miss=nan", "miss cannot be nan"),
         ("device,near=inf", "near cannot be inf"),
     ],

@@ -117,12 +117,16 @@ def test_cycles_passes_are_found_multiplied_denoised_and_divided_again(cycles: P
 
 @pytest.mark.parametrize(("words", "told"), [
     ((), True), (("--aov", "auto"), False), (("--strength", "0"), False),
-    (("--keep", "none"), False)])
+    (("--scale", "2"), False), (("--scale", "2", "--keep", "all"), True),
+    (("--keep", "none"), False), (("--tonemap", "agx"), True)])
 def test_parts_that_stay_noisy_are_told(cycles: Path, tmp_path: Path, capsys, words, told) -> None:
     run = ["run", str(cycles), "-o", str(tmp_path / "out.0001.exr"), "--model", "s", "--explain"]
     assert main([*run, *words]) == 0
     found = capsys.readouterr().out
     assert ("Combined_key" in found and "more: kept as noisy as they are" in found) == told
+    shown = "--tonemap" in words  # where --aov would be left out
+    assert ("; --aov auto denoises them, too" in found) == (told and not shown)
+    assert ("only scene-linear output has denoised ones" in found) == shown
 
 
 def test_a_frame_of_blender_adds_up_by_groups_and_by_passes(tmp_path: Path) -> None:
@@ -181,7 +185,7 @@ def test_groups_by_name_and_what_is_not_there(cycles: Path) -> None:
         assert set(files.parts) == {"ViewLayer.Combined_key", "ViewLayer.Combined_fill"}
         assert files.parts["ViewLayer.Combined_key"].part.group == "light groups"
     with pytest.raises(MissingPlaneError,
-                       match=r"in.0001.exr: no layer 'rim' for --aov: it holds ViewLayer.Combined"):
+                       match=r"in.0001.exr: no layer 'rim' for --aov: it holds \S*Combined_"):
         read_sequence(str(cycles), aov="rim").open(1)
 
 
@@ -234,7 +238,7 @@ def test_a_run_goes_on_where_auto_finds_no_parts_and_says_so(
     files = [tmp_path / "auto.exr", tmp_path / "plain.exr"]
     for out, options in zip(files, (("--aov", "auto"), ()), strict=True):
         assert main(["run", str(source), "-o", str(out), "--model", "s", *options]) == 0
-    assert capsys.readouterr().err.count("warning  --aov auto: no light groups or passes") == 1
+    assert capsys.readouterr().err.count("warning  --aov auto: the files hold no light groups") == 1
     auto, plain = map(read, files)
     np.testing.assert_array_equal(layer(auto, ""), layer(plain, ""))
 
@@ -343,6 +347,8 @@ def test_a_part_brighter_than_the_picture_and_light_below_0_are_told(two_splits)
     parts = (Part("key", "light", "named"), dark)
     note = "layers dark have light below 0: it is denoised apart, and stays"
     assert group_parts(parts, picture, darkened) == (parts, [note])
+    rounded = {"key": picture, "dark": np.full_like(picture, -1e-7)}
+    assert group_parts(parts, picture, rounded) == (parts, [])
 
 
 def test_some_parts_of_the_picture_stay_one_group_in_silence(two_splits):

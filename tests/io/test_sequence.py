@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -279,6 +280,8 @@ def test_wildcards_lists_and_the_home_folder(shot, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     shot(1, 2, 4, 5)
     shot(1, name="other.{:04d}.exr")
+    (tmp_path / "there").mkdir()
+    shutil.copy("shot.0001.exr", "there/shot.0001.exr")
     (tmp_path / "shot.txt").write_text("no picture")
     whole, some = (1, 2, 3, 4, 5), (1, 2)
     files = [f"shot.000{number}.exr" for number in (1, 2, 4, 5)]
@@ -290,11 +293,21 @@ def test_wildcards_lists_and_the_home_folder(shot, tmp_path, monkeypatch):
         assert read_sequence(source).numbers == numbers, source
     for source, told in [("*.exr", "holds 2 sequences"), ("no*.exr", "no*.exr: no such file"),
                          ([files[0], "other.0001.exr"], "2 files: holds 2 sequences"),
-                         ([files[0], "x.exr"], "x.exr: no such file")]:
+                         ([files[0], "x.exr"], "x.exr: no such file"),
+                         ([files[0], "there/shot.0001.exr"],
+                          "(shot.####.exr, there/shot.####.exr): name one")]:
         with pytest.raises(SequenceError, match=re.escape(told)):
             locate(source)
     (tmp_path / "shot.0001.exr").rename(tmp_path / "a[1]*.0001.exr")  # a name means itself first
     assert locate("a[1]*.####.exr")[0].path(1).name == "a[1]*.0001.exr"
+
+
+def test_a_number_of_numpy_is_a_frame_s(shot):
+    pattern = f"{shot(1, 2, 3)}/shot.####.exr"
+    for frames in (np.int64(2), 2, [np.uint8(2)], np.array([2])):
+        assert read_sequence(pattern, frames=frames).numbers == (2,)
+    with pytest.raises(SequenceError, match="a whole number"):
+        read_sequence(pattern, frames=np.float32(2))
 
 
 def test_wildcards_pass_over_what_may_not_be_looked_at(tmp_path, monkeypatch):

@@ -1,5 +1,6 @@
 """Written files: contents, metadata, completeness."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -188,6 +189,19 @@ def test_header_is_kept_and_windows_are_scaled(write_exr, tmp_path, ramp):
     assert spec.get_float_attribute("postfx:fovX") == 40
     assert spec.getattribute("worldToCamera") == tuple(np.eye(4).ravel())
     assert spec.getattribute("postfx:jitter") is None
+
+
+def test_jitter_is_told_as_long_as_the_samples_have_it(write_exr, tmp_path, ramp):
+    names = ("R", "G", "B", *(f"albedo.{letter}" for letter in "RGB"))
+    source = write_exr("in.exr", ramp(*names), postfx__jitter=(0.25, -0.5))
+    frame = next(iter(read_sequence(source)))
+    own = Frame({Role.COLOUR: frame[Role.COLOUR]}, jitter=(0.125, 0.375))
+    for name, given, told in (("copied", frame, (0.25, -0.5)), ("made", own, (0.125, 0.375)),
+                              ("centred", replace(frame, jitter=(0.0, 0.0)), None),
+                              ("moved", replace(frame, jitter=(0.5, 0.0)), (0.5, 0.0))):
+        path = write_frame(tmp_path / f"{name}.exr", given)
+        assert oiio.ImageInput.open(str(path)).spec().getattribute("postfx:jitter") == told, name
+        assert next(iter(read_sequence(path))).jitter == (told or (0.0, 0.0))
 
 
 def test_standard_attributes_survive(frame, tmp_path):

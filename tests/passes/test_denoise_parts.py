@@ -509,11 +509,14 @@ def test_light_below_0_may_come_late_and_a_stop_changes_nothing(device: Device) 
 def test_what_a_pixel_filter_leaves_below_0_costs_no_layer(device: Device) -> None:
     part = np.ones((16, 16, 3), np.float32)
     part[::8] = -0.02
-    assert has_negative_light(part)
-    assert not has_negative_light(np.where(part < 0, 1, part) * np.float32(0.999))
+    picture = np.ones((16, 16, 3), np.float32)
+    assert has_negative_light(part, picture)
+    assert not has_negative_light(np.where(part < 0, 1, part) * np.float32(0.999), picture)
+    # a layer without light, which a renderer rounds
+    assert not has_negative_light(np.full((16, 16, 3), -1e-6, np.float32), picture)
     part[::8] = 1
     part[0, 0] = -0.02
-    assert not has_negative_light(part)
+    assert not has_negative_light(part, picture)
 
 
 def between_lamps(number: int, on_the_camera: bool) -> Frame:

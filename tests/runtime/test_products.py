@@ -60,7 +60,7 @@ def test_other_products_stay_as_they_are(change: dict[str, int | str]) -> None:
 def test_codes_times_factors_are_the_networks_own_products(name: str) -> None:
     device = Device("cpu", threads=2)
     dims = {"height": 32, "width": 48, "ringed_height": 34, "ringed_width": 50}
-    whole, split = (device.pipeline_state(Library(), name, dims, codes=codes)
+    whole, split = (device.pipeline_state(Library(), name, dims, own_kernels=codes)
                     for codes in (False, True))
     wanted, found = results(whole), results(split)
     assert split.products.keys() == {key for key in wanted if key.startswith("products_")}

@@ -112,9 +112,11 @@ def enlarge_rows(
 
 _OUTDATED = (
     "acesimagecontainerflag", "postfx:exposureapplied", "postfx:exposureappliedev",
-    "postfx:exposureused", "postfx:exposureusedev", "postfx:jitter", "postfx:models",
-    "postfx:reset", "postfx:settings", "postfx:spp", "postfx:version", "preview", "thumbnail",
+    "postfx:exposureused", "postfx:exposureusedev", "postfx:models", "postfx:reset",
+    "postfx:settings", "postfx:spp", "postfx:version", "preview", "thumbnail",
 )
+JITTER = "postfx:jitter"
+"""Name of the attribute, which is as true as the frame's own jitter."""
 # What describes the input's storage, its samples or channels that are not written.
 _DROPPED = (
     *_OUTDATED,
@@ -142,13 +144,15 @@ def select_attributes(frame: Frame) -> dict[str, Any]:
     made for a display whatever says that its colours are those of the scene.
     """
     dropped = _DROPPED if frame.encoding == "scene-linear" else _DROPPED + _SCENE_REFERRED
-    return {name: value
-            for name, value in frame.metadata.items() if not name.lower().startswith(dropped)}
+    return {name: value for name, value in frame.metadata.items()
+            if not name.lower().startswith((*dropped, JITTER))}
 
 
 def is_outdated(name: str, frame: Frame) -> bool:
     """Whether an attribute of the input is not true of the picture any more, whatever else is
     written with it."""
+    if name.lower() == JITTER:
+        return frame.jitter == (0.0, 0.0)
     outdated = _OUTDATED if frame.encoding == "scene-linear" else _OUTDATED + _SCENE_REFERRED
     return name.lower().startswith(outdated)
 

@@ -8,14 +8,8 @@
 FN Four weighted_four(const View& state, const size_t (&from)[4], const float (&share)[4],
                       int group, float scale) {
     Four sum = {0.0f, 0.0f, 0.0f, 0.0f};
-    for (int i = 0; i < 4; i++) {
-        const Four value = four(state, 3 * from[i] + group);
-        sum.x += share[i] * value.x;
-        sum.y += share[i] * value.y;
-        sum.z += share[i] * value.z;
-        sum.w += share[i] * value.w;
-    }
-    return {sum.x * scale, sum.y * scale, sum.z * scale, sum.w * scale};
+    for (int i = 0; i < 4; i++) add(sum, four(state, 3 * from[i] + group), share[i]);
+    return sum * scale;
 }
 
 extern "C" __global__ void denoise_resize(View state, View last_depth, View at_rows,

@@ -303,32 +303,34 @@ struct Chooser {
 
 // The path of each cell: its own, or another one around it or of the flow that fits much better.
 // The last two numbers are left.
-static void choose_row(Long y, Choice of, NewField cells) {
+static void choose_rows(Long first, Long last, Choice of, NewField cells) {
     const float scale = of.numbers->scale;
     const double middle = double(float(0.5 * (scale - 1.0f)));
-    for (Long x = 0; x < cells.size[1]; x++) {
-        const bool alone = is_alone(of.own, y, x);
-        const float* own = of.own(y, x);
-        bool has_flow = of.mirrored.size[0] > 0;
-        if (of.flow.before.size[0]) {
-            const float *ahead = of.flow.before(y, x), *back = of.flow.after(y, x);
-            has_flow = has_flow || *ahead == *ahead || *back == *back;
+    for (Long y = first; y < last; y++) {
+        for (Long x = 0; x < cells.size[1]; x++) {
+            const bool alone = is_alone(of.own, y, x);
+            const float* own = of.own(y, x);
+            bool has_flow = of.mirrored.size[0] > 0;
+            if (of.flow.before.size[0]) {
+                const float *ahead = of.flow.before(y, x), *back = of.flow.after(y, x);
+                has_flow = has_flow || *ahead == *ahead || *back == *back;
+            }
+            // around what turns, no window that is moved alone fits
+            const bool turns = own[4] + own[5] == 2.0f && is_turning(of.own, y, x, scale);
+            if ((alone && !has_flow) || turns) {
+                store<Eight>(cells(y, x), load<Eight>(own));
+                continue;
+            }
+            Chooser chooser(of, y, x, double(scale) * double(y) + middle,
+                            double(scale) * double(x) + middle);
+            chooser.consider_all(alone);
+            Path path = chooser.taken;
+            if (chooser.is_seen) path.first = path.last = 1.0f;
+            store(cells(y, x), path);
         }
-        // around what turns, no window that is moved alone fits
-        const bool turns = own[4] + own[5] == 2.0f && is_turning(of.own, y, x, scale);
-        if ((alone && !has_flow) || turns) {
-            store<Eight>(cells(y, x), load<Eight>(own));
-            continue;
-        }
-        Chooser chooser(of, y, x, double(scale) * double(y) + middle,
-                        double(scale) * double(x) + middle);
-        chooser.consider_all(alone);
-        Path path = chooser.taken;
-        if (chooser.is_seen) path.first = path.last = 1.0f;
-        store(cells(y, x), path);
     }
 }
-EXPORT(choose_paths, choose_row)
+EXPORT(choose_paths, choose_rows)
 
 // The share of detail over 8x6 places whose paths change from place to place as from a cell to the
 // next ones.

@@ -9,10 +9,10 @@ BEST_NETWORK = "xl"
 """The network where nobody chose one and nothing speaks against it."""
 USUAL_NETWORK = "m"
 """The network for all else where nobody chose one."""
-PIXEL_BYTES = 3900
-"""Memory that `xl` takes for each render pixel on a CPU: 3,890 measured at 1280x720."""
-GPU_PIXEL_BYTES = 5300
-"""Bytes of memory for a pixel on a GPU: 5,259 measured at 1920x1080."""
+PIXEL_BYTES = 4200
+"""Memory that `xl` takes for each render pixel on a CPU: 4,184 measured at 1280x720."""
+GPU_PIXEL_BYTES = 2200
+"""Bytes of memory for a pixel on a GPU: 2,144 measured at 1920x1080."""
 ENLARGING_PIXEL_BYTES = 1000
 """What enlarging adds, to three times the size at most: 894 measured at 640x360 on a CPU."""
 

@@ -15,7 +15,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from postfx.compiled.library import has_byte_products
 from postfx.errors import ModelError, PassOptionError
 from postfx.kernels.denoise import BLEND, FINE, KERNEL, MEMORY
 from postfx.passes.denoise.geometry import PYRAMID_LEVELS
@@ -335,7 +334,7 @@ def load_network(device: Device, model: str, dims: Mapping[str, int]) -> Pipelin
     """A model, ready for the given sizes of its free dimensions."""
     library, name = find_model(model)
     return device.pipeline_state(library, name, dims, heads=HEADS,
-                                 codes=device.runs_rows and has_byte_products())
+                                 own_kernels=device.runs_rows)
 
 
 def name_models(device: Device, models: Iterable[str]) -> None:

@@ -279,7 +279,8 @@ class Layers:
         found: dict[str, Tensor] = {}
         for layer, name in self._negative_layers.items():
             before = self._history.layers.get(layer)
-            if (before and before.frames) or has_negative_light(frame.host_parts[name]):
+            if (before and before.frames) or has_negative_light(
+                frame.host_parts[name], frame.host_planes[Role.COLOUR]):
                 light = self._values.three_channels(name, frame)
                 found |= self._signed.split(commands, name, light)
         return found
