@@ -10,7 +10,8 @@ from training.measure.record import RUNS, load
 
 MOST_TIME = 0.25
 """Of a frame with 90 % masked, over that of a whole one."""
-BEYOND = {"masked_speed_m_guides", "masked_speed_xl_1x", "masked_speed_xl_1x_centred"}
+BEYOND = {"masked_speed_m_guides", "masked_speed_l_1x", "masked_speed_xl_1x",
+          "masked_speed_xl_centred"}
 """Runs that take more: docs/lab/denoising.md says so."""
 
 

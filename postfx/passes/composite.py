@@ -129,8 +129,9 @@ class PartShares:
                  if (part := frame.parts.get(name)) is not None and part.shape[2] == 3}
         by_sign: dict[str, Tensor] = {}
         for name in parts:
-            if name in frame.host_parts and has_negative_light(frame.host_parts[name],
-                                                               frame.host_planes.get(Role.COLOUR)):
+            if (name in frame.host_parts
+                and has_negative_light(frame.host_parts[name],
+                                       frame.host_planes.get(Role.COLOUR))):
                 by_sign |= self._signed.split(commands, name, parts[name])
         for group in dict.fromkeys(self._groups[name] for name in parts):
             of_group = [name for name in parts if self._groups[name] == group]

@@ -19,8 +19,7 @@ LEAST_NEGATIVE = 3e-3
 """Share of a part's light that must be negative for the part to be split. Pixel filters leave less,
 which is cut, as in the picture."""
 LEAST_OF_PICTURE = 1e-5
-"""Share of the picture's light that must be negative in the part: one without light has rounding
-alone."""
+"""The same as a share of the picture's light: a part without light has negative rounding alone."""
 ROW_STEP = 8
 """One row in so many is looked at for that."""
 
@@ -36,7 +35,7 @@ def negative_layer(name: str) -> str:
 
 def has_negative_light(part: np.ndarray, picture: np.ndarray | None) -> bool:
     """Whether a part (h, w, n) has negative light, and more of it than rounding or a pixel filter
-    leaves. picture: (h, w, 3), whose part it is; None where that is not known."""
+    leaves; `picture`: (h, w, 3), to which it belongs, None if that is not known."""
     seen = part[::ROW_STEP]
     seen = seen[np.isfinite(seen)]
     negative = np.maximum(-seen, 0).sum(dtype=np.float64)

@@ -213,7 +213,8 @@ def test_an_overlay_at_output_size_is_no_guide_for_edges() -> None:
     frame = Frame({Role.COLOUR: np.ones((20, 20, 3), np.float32)},
                   guides={Role.OVERLAY: np.zeros((30, 30, 4), np.float32)})
     pass_ = DenoiseUpscale()
-    assert pass_.reflect(frame.spec).output.width == 30 and not pass_._is_guided(frame.spec)
+    assert pass_.reflect(frame.spec).output.width == 30
+    assert not pass_._networks.is_guided(frame.spec)
     plan = Pipeline([pass_, Overlay()]).explain(frame.spec)
     assert plan.guides == (Role.OVERLAY,) and "edges are less exact" not in str(plan)
     alone = Pipeline([Overlay()]).explain(frame.spec)
