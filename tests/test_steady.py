@@ -73,7 +73,7 @@ def test_planes_in_the_same_memory_are_known_again(small: bool,
     """Commands are searched for hazards once, and results are those of planes that lie elsewhere in
     each frame, which nothing keeps in memory. Small ones are copied from the second frame on."""
     monkeypatch.setattr("postfx.runtime.heap.CHUNK_BYTES", 1)
-    monkeypatch.setattr("postfx.pipeline.SMALL_COPY_BYTES", 1 << 20 if small else 0)
+    monkeypatch.setattr("postfx.flow.SMALL_COPY_BYTES", 1 << 20 if small else 0)
     made: list[int] = []
     same, other = (postfx.Pipeline([postfx.DenoiseUpscale(model="s"), postfx.ToneMap()],
                                    Device("cpu", threads=1))

@@ -131,15 +131,20 @@ def still(alpha: bool, lit: int = LIT, roles: tuple[Role, ...] = ROLES[:3] + ROL
 @pytest.mark.parametrize(("model", "scale", "alpha"), [
     ("s", 2, False), ("s.fp32", 1, True), ("m", 2, True), ("m", 1.5, False), ("m.fp32", 1, False),
     ("classic", 2, False)])
-def test_what_is_black_in_a_still_is_skipped_and_the_rest_keeps_its_bits(
+def test_what_is_black_in_a_still_is_skipped_and_the_rest_stays(
     device: Device, model: str, scale: float, alpha: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """To the bit, but for networks in float32: their convolutions' tiles begin where a window
+    does."""
     skipped, why = run(device, [still(alpha)], model=model, scale=scale)
     monkeypatch.setattr(ReadyNetwork, "lit_cells", lambda *_: None)
     whole, none = run(device, [still(alpha)], model=model, scale=scale)
     assert BLACK_THERE in why and BLACK_THERE not in none
     for role in whole[0].planes:
-        np.testing.assert_array_equal(skipped[0][role], whole[0][role])
+        if "fp32" in model:
+            np.testing.assert_allclose(skipped[0][role], whole[0][role], rtol=0, atol=5e-5)
+        else:
+            np.testing.assert_array_equal(skipped[0][role], whole[0][role])
     assert whole[0][Role.COLOUR].any()
 
 

@@ -239,10 +239,10 @@ class WatchedDevice(Device):
     def pipeline_state(
         self, library: Library, name: str, dims: Dims | None = None,
         in_place: Mapping[str, str] | None = None, threads: int | None = None,
-        heads: Mapping[str, Head] | None = None, codes: bool = False,
+        heads: Mapping[str, Head] | None = None, own_kernels: bool = False,
     ) -> PipelineState:
         state = super().pipeline_state(self._library, self._name, dims, in_place, threads, heads,
-                                       codes)
+                                       own_kernels)
         vars(state)["prepare"] = partial(self._prepare, state, state.prepare)
         return state
 
