@@ -31,7 +31,7 @@ NEIGHBOUR_STEP_PX = 2
 LARGEST_DEPTH_STEP = 0.05
 LARGEST_DEPTH_BEND = 0.01
 
-FITTED_POINTS = 5000
+PLANE_POINTS = 5000
 """Points that a rotation is fitted to, at most; below the next number none is."""
 FEWEST_FITTED_POINTS = 500
 LIKELY_FOV_DEGREES = tuple(range(20, 121, 10))
@@ -124,7 +124,7 @@ def smooth_points(depth: np.ndarray) -> Points:
         smooth &= ((np.abs(left - right) < 2 * LARGEST_DEPTH_STEP * middle)
                    & (np.abs(up - down) < 2 * LARGEST_DEPTH_STEP * middle))
     rows, columns = np.nonzero(smooth)
-    chosen = np.random.default_rng(4).permutation(rows.size)[:FITTED_POINTS]
+    chosen = np.random.default_rng(4).permutation(rows.size)[:PLANE_POINTS]
     return Points(rows[chosen] + NEIGHBOUR_STEP_PX, columns[chosen] + NEIGHBOUR_STEP_PX)
 
 

@@ -22,7 +22,7 @@ SURELY_RIGHT = 0.95
 SURELY_WRONG = 1.1
 """The same, from which estimated motion alone counts: 1.01 and more for wrong vectors of drawn
 wires. Right ones may have more, too, along a wire; estimated motion is as good there."""
-LEAST_MISFIT = 1e-6
+LEAST_FLOW_ERROR = 1e-6
 """Misfit that is divided by, at least."""
 SIDE_CELLS = 3
 """Distance in cells from a thin thing at which the background is seen."""
@@ -40,7 +40,7 @@ other things than thin ones: 0.42 and more in six rendered sequences, up to 0.39
 MORE_SURELY = 4.0
 """How many times as large the ratios above must be then: up to 3.1 in those sequences, 6.1 and more
 in drawn wires."""
-MOST_CELLS = 64
+MOST_THIN_CELLS = 64
 """Cells of thin things that are compared."""
 AROUND_CELLS = 2
 """Cells around the way of a thin thing in which the picture along estimated motion counts."""
@@ -111,7 +111,7 @@ def _misfit_of_vectors(seen: ThinInputs, back: np.ndarray, thin: np.ndarray) -> 
     now = shown(after, x[led], y[led])
     given, flowing = (float(np.minimum(np.abs(shown(before, across[led], down[led]) - now),
                                        MOST_MISFIT).mean()) for across, down in places)
-    worse: float = given / max(flowing, LEAST_MISFIT)
+    worse: float = given / max(flowing, LEAST_FLOW_ERROR)
     return worse
 
 
@@ -120,7 +120,7 @@ def _pixels_of(seen: ThinInputs, thin: np.ndarray) -> tuple[np.ndarray, np.ndarr
     cells."""
     scale, (h, w) = seen.scale, seen.pixel_depth.shape[:2]
     rows, columns = np.nonzero(thin)
-    step = 1 + len(rows) // MOST_CELLS
+    step = 1 + len(rows) // MOST_THIN_CELLS
     rows, columns = rows[::step], columns[::step]
     down, across = (part.ravel()[:, None] for part in np.mgrid[:scale, :scale])
     y, x = (scale * rows + down).ravel(), (scale * columns + across).ravel()

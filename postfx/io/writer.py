@@ -26,7 +26,7 @@ from postfx.frame import LINEAR, TOLD, Frame, Role
 from postfx.io.encoder import cut_pieces, display_of, encode_all, encode_pixel, tag_codes
 from postfx.io.exr import Header
 from postfx.io.exr.container import COMPRESSIONS, Rows, can_compress
-from postfx.io.exr.passthrough import JITTER
+from postfx.io.exr.passthrough import JITTER_ATTRIBUTE
 from postfx.io.exr.picture import (
     Picture,
     PictureHeader,
@@ -199,7 +199,7 @@ def write_frame(
 
 def _tell_jitter(frame: Frame) -> dict[str, Any]:
     """The attribute of a frame's jitter, where its samples still lie off the pixels' centres."""
-    return {} if frame.jitter == (0.0, 0.0) else {JITTER: tuple(map(float, frame.jitter))}
+    return {} if frame.jitter == (0.0, 0.0) else {JITTER_ATTRIBUTE: tuple(map(float, frame.jitter))}
 
 
 def _write_light(path: Path, found: list[tuple[Frame, LightPlan, Header]], keep: bool,

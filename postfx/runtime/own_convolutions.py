@@ -21,14 +21,12 @@ from postfx.runtime.model_file import (
     swap_nodes,
 )
 
-LOG = logging.getLogger(__name__)
-
 DOMAIN = "postfx"
 """Of the operators, as `kernels/operators.cpp` registers them."""
 REGISTER = "RegisterCustomOps"
 """The function that ONNX Runtime looks for in a library of operators."""
-SIDE = 3
-FIXED = {"kernel_shape": (SIDE, SIDE), "pads": (1, 1, 1, 1), "strides": (1, 1),
+KERNEL_SIDE = 3
+FIXED = {"kernel_shape": (KERNEL_SIDE, KERNEL_SIDE), "pads": (1, 1, 1, 1), "strides": (1, 1),
          "dilations": (1, 1), "group": (1,)}
 """Attributes of the convolutions; only the first two are never left out."""
 IN_INTEGERS = {"DequantizeLinear", "QLinearConv", "ConvInteger"}
@@ -60,7 +58,7 @@ def operators_library() -> Path | None:
     try:
         return library_of(REGISTER)
     except DeviceError as error:
-        LOG.info("convolutions are ONNX Runtime's: %s", error)
+        logging.getLogger(__name__).info("convolutions are ONNX Runtime's: %s", error)
         return None
 
 

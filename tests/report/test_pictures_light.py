@@ -6,11 +6,11 @@ import pytest
 
 from postfx.colour.displays import srgb_encode
 from postfx.colour.views import to_codes
-from postfx.tools.report.pictures import EVEN_LIGHT, LARGEST_SIDE_PX, encode_light, pack_codes
+from postfx.tools.report.pictures import TOE_LIGHT, HIGHEST_CODE, encode_light, pack_codes
 
 
 def light_of(codes, highest):
-    return EVEN_LIGHT * ((1 + highest / EVEN_LIGHT) ** (codes / LARGEST_SIDE_PX) - 1)
+    return TOE_LIGHT * ((1 + highest / TOE_LIGHT) ** (codes / HIGHEST_CODE) - 1)
 
 
 @pytest.mark.parametrize("stops", [-6, -2, 0, 2, 4])
@@ -31,8 +31,8 @@ def test_what_is_out_of_range_is_clipped_and_what_is_not_finite_is_magenta():
     light = np.float32([[[-1, 0, 1e9], [np.nan, 1, 1], [1, np.inf, 1]]])
     codes = encode_light(light, 64.0)
     assert codes.dtype == np.uint16
-    assert codes[0].tolist() == [[0, 0, LARGEST_SIDE_PX], [LARGEST_SIDE_PX, 0, LARGEST_SIDE_PX],
-                                 [LARGEST_SIDE_PX, 0, LARGEST_SIDE_PX]]
+    assert codes[0].tolist() == [[0, 0, HIGHEST_CODE], [HIGHEST_CODE, 0, HIGHEST_CODE],
+                                 [HIGHEST_CODE, 0, HIGHEST_CODE]]
 
 
 def test_smooth_light_is_packed_small():

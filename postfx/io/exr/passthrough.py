@@ -115,7 +115,7 @@ _OUTDATED = (
     "postfx:exposureused", "postfx:exposureusedev", "postfx:models", "postfx:reset",
     "postfx:settings", "postfx:spp", "postfx:version", "preview", "thumbnail",
 )
-JITTER = "postfx:jitter"
+JITTER_ATTRIBUTE = "postfx:jitter"
 """Name of the attribute, which is as true as the frame's own jitter."""
 # What describes the input's storage, its samples or channels that are not written.
 _DROPPED = (
@@ -145,13 +145,13 @@ def select_attributes(frame: Frame) -> dict[str, Any]:
     """
     dropped = _DROPPED if frame.encoding == "scene-linear" else _DROPPED + _SCENE_REFERRED
     return {name: value for name, value in frame.metadata.items()
-            if not name.lower().startswith((*dropped, JITTER))}
+            if not name.lower().startswith((*dropped, JITTER_ATTRIBUTE))}
 
 
 def is_outdated(name: str, frame: Frame) -> bool:
     """Whether an attribute of the input is not true of the picture any more, whatever else is
     written with it."""
-    if name.lower() == JITTER:
+    if name.lower() == JITTER_ATTRIBUTE:
         return frame.jitter == (0.0, 0.0)
     outdated = _OUTDATED if frame.encoding == "scene-linear" else _OUTDATED + _SCENE_REFERRED
     return name.lower().startswith(outdated)

@@ -87,22 +87,24 @@ def _as_rgb(pixels: np.ndarray) -> np.ndarray:
     return np.concatenate([pixels, np.zeros((height, width, 3 - channels), np.uint8)], axis=-1)
 
 
-LARGEST_SIDE_PX = 511
-EVEN_LIGHT = 2.0**-8
+HIGHEST_CODE = 511
+"""Of a pixel's light, whose codes begin at 0."""
+TOE_LIGHT = 2.0**-8
 """Light below which steps are even; above, they are even in stops."""
-NOT_FINITE = (LARGEST_SIDE_PX, 0, LARGEST_SIDE_PX)
+NOT_FINITE = (HIGHEST_CODE, 0, HIGHEST_CODE)
+"""Codes of pixels that are not finite: magenta."""
 
 
 def encode_light(light: np.ndarray, highest: float) -> np.ndarray:
-    """Light (height, width, 3) as codes 0..511, uint16: 511 log(1 + light / EVEN_LIGHT) / log(1 +
-    highest / TOE).
+    """Light (height, width, 3) as codes 0..511, uint16: 511 log(1 + light / TOE_LIGHT) / log(1 +
+    highest / TOE_LIGHT).
 
     Negative light and light above `highest` is clipped; non-finite pixels become magenta. Up to 64,
     a stop has 36 codes; x / (1 + x) in sRGB has at most 32 of a screen's 255 steps in a stop.
     """
-    steps = (np.log1p(np.clip(np.nan_to_num(light), 0, highest) / np.float32(EVEN_LIGHT))
-             / np.log1p(highest / EVEN_LIGHT))
-    codes: np.ndarray = np.rint(LARGEST_SIDE_PX * steps).astype(np.uint16)
+    steps = (np.log1p(np.clip(np.nan_to_num(light), 0, highest) / np.float32(TOE_LIGHT))
+             / np.log1p(highest / TOE_LIGHT))
+    codes: np.ndarray = np.rint(HIGHEST_CODE * steps).astype(np.uint16)
     codes[~np.isfinite(light).all(2)] = NOT_FINITE
     return codes
 
@@ -122,4 +124,4 @@ def pack_codes(codes: np.ndarray, highest: float) -> dict[str, Any]:
                             + (folded >> 8).astype(np.uint8).tobytes(), 9)
     height, width = codes.shape[:2]
     data = base64.b64encode(content).decode("ascii")
-    return {"width": width, "height": height, "toe": EVEN_LIGHT, "highest": highest, "data": data}
+    return {"width": width, "height": height, "toe": TOE_LIGHT, "highest": highest, "data": data}
