@@ -6,7 +6,7 @@ import pytest
 
 from postfx.colour.displays import srgb_encode
 from postfx.colour.views import to_codes
-from postfx.tools.report.pictures import TOE_LIGHT, HIGHEST_CODE, encode_light, pack_codes
+from postfx.tools.report.pictures import HIGHEST_CODE, TOE_LIGHT, encode_light, pack_codes
 
 
 def light_of(codes, highest):
