@@ -142,6 +142,7 @@ static Failure* compute(Convolution* convolution, NodeCall* call) {
     TRY(ask(INPUT, (const NodeCall*)call, IMAGE, &image));
     TRY(ask(INPUT, (const NodeCall*)call, BIAS, &bias));
     TRY(sizes_of(image, sizes));
+    if (sizes[0] != 1) return ask(CREATE_FAILURE, FAILED, "a convolution of several images");
     Work work{convolution, convolution->layer, nullptr, nullptr, nullptr, 0, false};
     work.layer.height = sizes[2];
     work.layer.width = sizes[3];

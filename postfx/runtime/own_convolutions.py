@@ -87,11 +87,15 @@ def _swapped(model: ModelFile) -> dict[int, Node | None]:
             continue
         result, operator = node.outputs[0], "Convolve3x3"
         behind = readers.get(result, [])
-        if len(behind) == 1 and result not in kept and model.nodes[behind[0]].operator == "Relu":
+        if len(behind) == 1 and result not in kept and _is_relu(model.nodes[behind[0]]):
             result, operator = model.nodes[behind[0]].outputs[0], "Convolve3x3Relu"
             found[behind[0]] = None
         found[place] = Node(operator, DOMAIN, node.inputs, [result])
     return found
+
+
+def _is_relu(node: Node) -> bool:
+    return node.operator == "Relu" and not node.domain
 
 
 def _is_convolution(node: Node) -> bool:

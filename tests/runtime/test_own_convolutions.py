@@ -107,6 +107,17 @@ def test_other_convolutions_stay_as_they_are(other: dict[str, Any]) -> None:
     assert with_own_convolutions(model) == model
 
 
+def test_several_images_are_refused() -> None:
+    """The denoiser's networks read one; the others would stay as memory was."""
+    model = onnx.load_from_string(network(3, 4))
+    for value in (*model.graph.input, *model.graph.output):
+        value.type.tensor_type.shape.dim[0].dim_param = "images"
+    image = picture(3, 8, 8).repeat(2, axis=0)
+    assert run(model.SerializeToString(), image).shape == (2, 4, 8, 8)
+    with pytest.raises(Exception, match="a convolution of several images"):
+        run(with_own_convolutions(model.SerializeToString()), image)
+
+
 def test_networks_in_integers_stay_as_they_are() -> None:
     model = onnx.load_from_string(network(8, 8))
     model.graph.node.insert(0, helper.make_node("DequantizeLinear", ["codes", "step"], ["light"]))
