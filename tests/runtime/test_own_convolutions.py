@@ -13,13 +13,14 @@ onnx = pytest.importorskip("onnx")
 from onnx import TensorProto, helper, numpy_helper  # noqa: E402
 
 from postfx.compiled.library import levels, open_library  # noqa: E402
-from postfx.runtime import ArgumentTable, Device, Library, own_convolutions  # noqa: E402
+from postfx.runtime import Device, Library, own_convolutions  # noqa: E402
 from postfx.runtime.own_convolutions import (  # noqa: E402
     REGISTER,
     has_own_convolutions,
     operators_library,
     with_own_convolutions,
 )
+from tests.runtime.test_products import results  # noqa: E402
 
 SIZES = ((1, 1), (3, 5), (4, 4), (37, 130), (9, 263))
 """Of pictures: below a tile, whole tiles, several strips, and ends within a tile."""
@@ -141,27 +142,14 @@ def test_without_a_library_networks_stay_as_they_are(monkeypatch: pytest.MonkeyP
 
 def test_the_default_gives_the_same_picture_either_way() -> None:
     """To 1e-4 of the largest number."""
-    wanted, found = results(own=False), results(own=True)
+    device = Device("cpu", threads=2)
+    wanted, found = (results(device.pipeline_state(
+        Library(), "denoise_upscale.xl.1x", {"height": 64, "width": 96}, own_kernels=own
+    ), draw_light) for own in (False, True))
     for name, numbers in wanted.items():
         np.testing.assert_allclose(found[name], numbers, atol=1e-4 * np.abs(numbers).max())
         assert not np.array_equal(found[name], numbers)
 
 
-def results(own: bool) -> dict[str, np.ndarray]:
-    """What the default network writes for random input, with our convolutions or without."""
-    device = Device("cpu", threads=2)
-    state = device.pipeline_state(Library(), "denoise_upscale.xl.1x", {"height": 64, "width": 96},
-                                  own_kernels=own)
-    random, tensors = np.random.default_rng(1), {}
-    for binding in state.bindings:
-        shape = state.shapes[binding.name]
-        tensors[binding.name] = device.heap.tensor(binding.name, shape, binding.dtype)
-        if binding.reads:
-            tensors[binding.name].upload(random.random(shape, np.float32))
-    commands = device.command_buffer("run")
-    with commands.machine_learning_encoder("run") as encoder:
-        encoder.dispatch_network(state, ArgumentTable(state, tensors))
-    commands.commit()
-    commands.wait(timeout=60)
-    return {binding.name: tensors[binding.name].download()
-            for binding in state.bindings if binding.writes}
+def draw_light(random: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    return random.random(shape, np.float32)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,8 @@ from postfx.runtime.model_file import take_products
 onnx = pytest.importorskip("onnx")
 
 from onnx import TensorProto, helper, numpy_helper  # noqa: E402
+
+Draw = Callable[[np.random.Generator, tuple[int, ...]], np.ndarray]
 
 
 def made(sign: int = 128, zero: int = -128, last: str = "Cast", channels: int = 8,
@@ -69,15 +73,18 @@ def test_codes_times_factors_are_the_networks_own_products(name: str) -> None:
         np.testing.assert_array_equal(factors.astype(np.int32) @ lines.T, wanted[output])
 
 
-def results(state: PipelineState) -> dict[str, np.ndarray]:
-    """What a network writes for random input."""
+def draw_bytes(random: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    return random.integers(0, 256, shape, np.uint8)
+
+
+def results(state: PipelineState, draw: Draw = draw_bytes) -> dict[str, np.ndarray]:
+    """What a network writes for input that is drawn."""
     random, tensors = np.random.default_rng(1), {}
     for binding in state.bindings:
         tensors[binding.name] = state.device.heap.tensor(binding.name, state.shapes[binding.name],
                                                          binding.dtype)
         if binding.reads:
-            tensors[binding.name].upload(random.integers(0, 256, state.shapes[binding.name],
-                                                         np.uint8))
+            tensors[binding.name].upload(draw(random, state.shapes[binding.name]))
     commands = state.device.command_buffer("run")
     with commands.machine_learning_encoder("run") as encoder:
         encoder.dispatch_network(state, ArgumentTable(state, tensors))
