@@ -19,6 +19,13 @@ LARGEST_HALF = 65504
 """The largest number that a half float holds."""
 LARGEST_FLOAT = float(np.finfo(np.float32).max)
 """The largest number that a float holds."""
+LEAST_NEGATIVE = 3e-3
+"""Share of a part's light that must be negative for the part to count as such. Pixel filters leave
+less, which is cut, as in the picture."""
+LEAST_OF_PICTURE = 1e-5
+"""The same as a share of the picture's light: a part without light has negative rounding alone."""
+SAMPLED_ROW_STEP = 8
+"""One row in so many is looked at, where a frame's light is."""
 WORTH = 1 << 20
 """Bytes to look at or to copy that are worth another thread."""
 
@@ -102,3 +109,18 @@ def is_same_plane(one: np.ndarray, other: np.ndarray) -> bool:
     found = np.empty(1, bool)
     _is_same_plane(0, 1, *(whole(plane, np.float32).reshape(-1) for plane in (one, other)), found)
     return bool(found[0])
+
+
+def has_negative_light(part: np.ndarray, picture: np.ndarray | None) -> bool:
+    """Whether a part (h, w, n) has negative light, and more of it than rounding or a pixel filter
+    leaves; `picture`: (h, w, 3), to which it belongs, None if that is not known."""
+    seen = part[::SAMPLED_ROW_STEP]
+    seen = seen[np.isfinite(seen)]
+    negative = np.maximum(-seen, 0).sum(dtype=np.float64)
+    if negative <= LEAST_NEGATIVE * np.abs(seen).sum(dtype=np.float64):
+        return False
+    if picture is None:
+        return True
+    whole = picture[::SAMPLED_ROW_STEP]
+    light = np.abs(whole[np.isfinite(whole)]).sum(dtype=np.float64)
+    return bool(negative > LEAST_OF_PICTURE * light)

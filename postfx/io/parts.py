@@ -14,6 +14,7 @@ from postfx.frame import ADDITIVE, PART_KINDS, Part, PartSource
 from postfx.io.channels import Channel, ChannelIndex, are_together, read_channels
 from postfx.io.image_file import ImageFile
 from postfx.io.layout import Layout
+from postfx.planes import SAMPLED_ROW_STEP, has_negative_light
 
 AUTO_PARTS = "auto"
 NAMED_PARTS = "named"
@@ -206,10 +207,6 @@ def _missing_error(name: str, index: ChannelIndex, path: str, option: str = "--a
 LAYER_SUM_TOLERANCE = 3e-3
 """Layers add up to the picture if their sum differs by less than this share of its light."""
 
-_SEEN_BELOW = 1e-5
-"""Share of the picture's light: less of it below 0 is rounding in a layer without light."""
-_SAMPLED_ROW_STEP = 8
-"""One row in so many is looked at."""
 _MOST_COMBINED_LAYERS = 14
 """More layers are not tried in all combinations."""
 
@@ -220,8 +217,8 @@ def find_sets(picture: np.ndarray, parts: Mapping[str, np.ndarray]) -> list[tupl
 
     Layers that are in no set are left out.
     """
-    seen = picture[::_SAMPLED_ROW_STEP]
-    rows = [np.broadcast_to(part[::_SAMPLED_ROW_STEP], seen.shape) for part in parts.values()]
+    seen = picture[::SAMPLED_ROW_STEP]
+    rows = [np.broadcast_to(part[::SAMPLED_ROW_STEP], seen.shape) for part in parts.values()]
     is_known = np.isfinite(seen) & np.logical_and.reduce([np.isfinite(part) for part in rows])
     layers = np.stack([part[is_known] for part in rows]).astype(np.float64)
     target = seen[is_known].astype(np.float64)
@@ -250,13 +247,13 @@ def group_parts(parts: Iterable[Part], picture: np.ndarray, pixels: Mapping[str,
     parts = tuple(parts)
     named = [part for part in parts
              if part.is_light and part.group == NAMED_PARTS and part.name in pixels]
-    seen = picture[::_SAMPLED_ROW_STEP]
-    total = sum((pixels[part.name][::_SAMPLED_ROW_STEP] for part in named), np.zeros_like(seen))
+    seen = picture[::SAMPLED_ROW_STEP]
+    total = sum((pixels[part.name][::SAMPLED_ROW_STEP] for part in named), np.zeros_like(seen))
     excess = np.maximum(total - seen, 0)
     light = np.abs(seen)
     is_known = np.isfinite(excess) & np.isfinite(light)
     lights = [part.name for part in parts if part.is_light and part.name in pixels]
-    below = [name for name in lights if _is_below(pixels[name], picture)]
+    below = [name for name in lights if has_negative_light(pixels[name], picture)]
     notes = ([f"layers {', '.join(below)} have light below 0: it is denoised apart, and stays"]
              if below else [])
     if (not named or excess[is_known].sum(dtype=np.float64)
@@ -276,15 +273,6 @@ def group_parts(parts: Iterable[Part], picture: np.ndarray, pixels: Mapping[str,
     grouped = tuple(replace(part, group=groups.get(part.name, part.name)) if part in named else part
                     for part in parts)
     return grouped, notes
-
-
-def _is_below(part: np.ndarray, picture: np.ndarray) -> bool:
-    """Whether a part of a picture has light below 0 that can be seen, by every eighth row."""
-    own, whole = (light[::_SAMPLED_ROW_STEP] for light in (part, picture))
-    own, whole = (light[np.isfinite(light)].astype(np.float64) for light in (own, whole))
-    under = np.maximum(-own, 0).sum()
-    return bool(under > LAYER_SUM_TOLERANCE * np.abs(own).sum()
-                and under > _SEEN_BELOW * np.abs(whole).sum())
 
 
 def read_parts(files: Mapping[str, ImageFile],

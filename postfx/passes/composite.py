@@ -16,7 +16,8 @@ from postfx.frame import FrameSpec, Part, Role
 from postfx.kernels.denoise.parts import BALANCE
 from postfx.kernels.image import OVER, OVER_ALPHA
 from postfx.passes import Pass, Reflection, ResidentFrame
-from postfx.passes.signed_light import SignedLight, has_negative_light, negative_layer
+from postfx.passes.signed_light import SignedLight, negative_layer
+from postfx.planes import has_negative_light
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 LATEST = 64

@@ -15,14 +15,6 @@ from postfx.planes import LARGEST_FLOAT
 from postfx.runtime import CommandBuffer, Device, Tensor
 from postfx.runtime.states import State
 
-LEAST_NEGATIVE = 3e-3
-"""Share of a part's light that must be negative for the part to be split. Pixel filters leave less,
-which is cut, as in the picture."""
-LEAST_OF_PICTURE = 1e-5
-"""The same as a share of the picture's light: a part without light has negative rounding alone."""
-ROW_STEP = 8
-"""One row in so many is looked at for that."""
-
 # Factors of light, before it is cut at 0.
 POSITIVE = 1.0
 NEGATIVE = -1.0
@@ -31,21 +23,6 @@ NEGATIVE = -1.0
 def negative_layer(name: str) -> str:
     """Name of the layer that holds a part's negative light."""
     return f"{name} below 0"
-
-
-def has_negative_light(part: np.ndarray, picture: np.ndarray | None) -> bool:
-    """Whether a part (h, w, n) has negative light, and more of it than rounding or a pixel filter
-    leaves; `picture`: (h, w, 3), to which it belongs, None if that is not known."""
-    seen = part[::ROW_STEP]
-    seen = seen[np.isfinite(seen)]
-    negative = np.maximum(-seen, 0).sum(dtype=np.float64)
-    if negative <= LEAST_NEGATIVE * np.abs(seen).sum(dtype=np.float64):
-        return False
-    if picture is None:
-        return True
-    whole = picture[::ROW_STEP]
-    light = np.abs(whole[np.isfinite(whole)]).sum(dtype=np.float64)
-    return bool(negative > LEAST_OF_PICTURE * light)
 
 
 class SignedLight:

@@ -312,9 +312,9 @@ class Device:
         stream = self.memory.stream_beside() if narrow else self.placement.stream
         placement = replace(self.placement, threads=taken, stream=stream)
         products: dict[str, Product] = {}
-        if own_kernels and placement.provider == CPU:
-            content, products = take_products(content) if has_byte_products() else (content, {})
-            content = with_own_convolutions(content)
+        runs_own = own_kernels and placement.provider == CPU
+        if runs_own:
+            content, products = _with_own_kernels(content)
         session = self._session(content, library, name, placement, fixed)
         self.name_model(library, name)
 
@@ -325,8 +325,7 @@ class Device:
             if not self.memory.host_visible:
                 return None
             again = _load(library, name, fixed)
-            given = take_products(again)[0] if products else again
-            given = with_own_convolutions(given) if own_kernels else given
+            given = _with_own_kernels(again)[0] if runs_own else again
             return Session(given, name, replace(placement, stream=0), named,
                            library.path(name).parent, of_its_own=True).intermediates()
 
@@ -498,6 +497,15 @@ def _load(library: Library, name: str, fixed: Dims) -> bytes:
     except ValueError as error:
         raise ModelError(f"network '{name}' cannot have the dims {_text_dims(by_axis)}: "
                          f"{error}") from error
+
+
+def _with_own_kernels(content: bytes) -> tuple[bytes, dict[str, Product]]:
+    """A network's file that leaves to our kernels what a CPU computes by them, and the products at
+    its end that are the caller's. Networks with such products convolve in integers."""
+    products: dict[str, Product] = {}
+    if has_byte_products():
+        content, products = take_products(content)
+    return (content if products else with_own_convolutions(content)), products
 
 
 def _text_dims(dims: Dims) -> str:

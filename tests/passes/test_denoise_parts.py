@@ -15,8 +15,8 @@ from postfx.passes.denoise import DenoiseUpscale, kinds
 from postfx.passes.denoise.assembly import FrameNetworks
 from postfx.passes.denoise.part_sums import coverage
 from postfx.passes.denoise.parts import mean_stops
-from postfx.passes.signed_light import has_negative_light
 from postfx.pipeline import Pipeline
+from postfx.planes import has_negative_light
 from postfx.runtime import Device
 from postfx.system import PROCESS
 from tests.passes.denoise_frames import guided, noisy

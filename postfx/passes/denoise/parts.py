@@ -32,7 +32,8 @@ from postfx.passes.denoise.part_sums import SAMPLED_ROW_STEP, Group, PartSums, g
 from postfx.passes.denoise.part_values import PartValues
 from postfx.passes.denoise.planes import ABSENT, Resampler, absent_plane
 from postfx.passes.denoise.window import THE_PICTURE, FilteredLayer, FrameWork
-from postfx.passes.signed_light import SignedLight, has_negative_light, negative_layer
+from postfx.passes.signed_light import SignedLight, negative_layer
+from postfx.planes import has_negative_light
 from postfx.runtime import CommandBuffer, Device, Tensor
 
 SURFACE = tuple(role for role in ABSENT if role is not Role.MOTION)
