@@ -29,9 +29,9 @@ class Workers(ThreadPoolExecutor):
             if self._is_over:
                 raise
         future: Future[Any] = Future()
-        fulfil = partial(_fulfil, future, partial(fn, *args, **kwargs))
+        fulfil = partial(_fulfil, future, partial(fn, *args, **kwargs))  # nobody joins its thread
         try:
-            threading.Thread(target=fulfil).start()
+            threading.Thread(target=fulfil, daemon=False).start()
         except RuntimeError:  # from Python 3.12 on, exit functions can start no thread
             fulfil()
         return future
@@ -42,39 +42,42 @@ class Workers(ThreadPoolExecutor):
         super().shutdown(wait, cancel_futures=cancel_futures)
 
 
-def _fulfil(future: Future[Any], task: Callable[[], Any]) -> None:
-    if not future.set_running_or_notify_cancel():
-        return
-    try:
-        future.set_result(task())
-    except BaseException as error:
-        future.set_exception(error)
-
-
 class _UnderWay:
     """How often each thread is in work that is finished before the program ends. Python waits for
-    none of its daemon threads."""
+    none of its daemon threads, and stops them wherever they are."""
 
     def __init__(self) -> None:
         self.reset()
-        atexit.register(self.wait)
+        atexit.register(self.end)
         if hasattr(os, "register_at_fork"):
             os.register_at_fork(after_in_child=self.reset)  # which has none of the other threads
 
     def reset(self) -> None:
         self._changed, self._threads = threading.Condition(), Counter[int]()
+        self._is_ending = False
 
-    def add(self, count: int) -> None:
-        """Count work of this thread that begins (1) or ends (-1)."""
+    def begin(self) -> None:
+        """This thread begins such work. Once the program ends, a daemon thread that is at none
+        stays here for good."""
+        thread = threading.current_thread()
         with self._changed:
-            self._threads[threading.get_ident()] += count
-            self._threads += Counter()  # without zeros
+            if self._is_ending and thread.daemon and thread.ident not in self._threads:
+                self._changed.wait_for(lambda: False)
+            self._threads[threading.get_ident()] += 1
+
+    def finish(self) -> None:
+        """This thread is done with it."""
+        with self._changed:
+            self._threads[ident := threading.get_ident()] -= 1
+            if not self._threads[ident]:
+                del self._threads[ident]
             self._changed.notify_all()
 
-    def wait(self) -> None:
-        """Wait for all other threads that are at such work."""
+    def end(self) -> None:
+        """Let no daemon thread begin, and wait for all other threads that are at such work."""
         own = {threading.get_ident()}
         with self._changed:
+            self._is_ending = True
             self._changed.wait_for(lambda: self._threads.keys() <= own)
 
 
@@ -83,9 +86,25 @@ _under_way = _UnderWay()
 
 @contextmanager
 def finished_before_the_end() -> Iterator[None]:
-    """The program does not end while a thread of any kind is inside."""
-    _under_way.add(1)
+    """The program does not end while a thread of any kind is inside: to stop one there could leave
+    half a file, or abort the process inside of a library."""
+    _under_way.begin()
     try:
         yield
     finally:
-        _under_way.add(-1)
+        _under_way.finish()
+
+
+def end_work() -> None:
+    """The program ends: wait for other threads that are at work, and let no daemon thread begin."""
+    _under_way.end()
+
+
+@finished_before_the_end()
+def _fulfil(future: Future[Any], task: Callable[[], Any]) -> None:
+    if not future.set_running_or_notify_cancel():
+        return
+    try:
+        future.set_result(task())
+    except BaseException as error:
+        future.set_exception(error)

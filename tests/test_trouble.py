@@ -168,6 +168,49 @@ def test_a_process_ends_while_a_frame_is_computed(thread, code):
     assert "terminate called" not in found.stderr
 
 
+LOADS = """
+import sys, threading, time
+import numpy as np
+import postfx
+def run():
+    size = 16
+    while True:
+        size += 2  # a network is loaded for each
+        frame = postfx.Frame({"colour": np.ones((size, size, 3), np.float32)})
+        device = postfx.Device("cpu", threads=2)
+        postfx.Pipeline([postfx.DenoiseUpscale(model="m.fp32")], device)(frame)
+for _ in range(2):
+    threading.Thread(target=run, daemon=True).start()
+time.sleep(0.3 + 0.1 * int(sys.argv[1]))
+"""
+
+
+@pytest.mark.parametrize("turn", range(3))
+def test_a_process_ends_while_networks_are_loaded(turn):
+    found = subprocess.run([sys.executable, "-c", LOADS, str(turn)], capture_output=True, text=True,
+                           timeout=120)
+    assert found.returncode == 0, found.stderr
+
+
+LATER = """
+import atexit
+import numpy as np
+def compute():
+    frame = postfx.Frame({"colour": np.ones((40, 60, 3), np.float32)})
+    print(passes(frame)["colour"].shape, flush=True)
+atexit.register(compute)  # before those of the library, so it runs after them
+import postfx
+passes = postfx.Pipeline([postfx.DenoiseUpscale(model="m.fp32")], postfx.Device("cpu", threads=2))
+passes(postfx.Frame({"colour": np.ones((40, 60, 3), np.float32)}))
+"""
+
+
+def test_frames_are_computed_in_exit_functions():
+    found = subprocess.run([sys.executable, "-c", LATER], capture_output=True, text=True,
+                           timeout=120)
+    assert found.stdout == "(40, 60, 3)\n" or found.stdout == "(40, 60, 3)\n", found.stderr
+
+
 def test_errors_come_back_from_other_processes(device):
     with pytest.raises(HazardError) as caught:
         _ = device.heap.tensor("x", (3,)).array

@@ -40,6 +40,7 @@ from postfx.runtime.session import first_line
 from postfx.runtime.states import State
 from postfx.runtime.tensor import Allocation, Tensor
 from postfx.runtime.threads import CommandQueue, Slots, timeout_error
+from postfx.workers import finished_before_the_end
 
 E = TypeVar("E", bound="Encoder")
 R = TypeVar("R")
@@ -229,6 +230,7 @@ class CommandBuffer:
         self._require_open()
         self._handlers.append(handler)
 
+    @finished_before_the_end()
     def commit(self) -> None:
         """Order commands, give transient tensors their memory, check all hazards and hand all to
         the device's queue.

@@ -31,6 +31,7 @@ from postfx.runtime.model_file import read_tables
 from postfx.runtime.own_convolutions import has_own_convolutions, operators_library
 from postfx.runtime.tensor import Tensor, element_type
 from postfx.system import held_bytes, private_folder, return_free_memory, usable_memory
+from postfx.workers import finished_before_the_end
 
 __all__ = ["CPU", "FirstRun", "Placement", "Provider", "Session", "TableSession", "find_provider",
            "first_line", "has_networks", "ort", "parse_provider", "providers_of", "session_options"]
@@ -199,6 +200,7 @@ class Session:
     arena `of_its_own` shares no memory with others.
     """
 
+    @finished_before_the_end()
     def __init__(
         self, model: bytes, name: str, placement: Placement, dims: Mapping[str, int],
         folder: Path | None = None, exclusive: bool = False, of_its_own: bool = False,
@@ -235,6 +237,7 @@ class Session:
         self._name = name
         self._placement = placement
 
+    @finished_before_the_end()
     def bind(self, inputs: Mapping[str, Tensor],
              outputs: Mapping[str, Tensor]) -> Callable[[], None]:
         """A function that runs the model on these tensors in place."""
@@ -266,6 +269,7 @@ class Session:
 
         return run_elsewhere
 
+    @finished_before_the_end()
     def intermediates(self) -> int | None:
         """Bytes that the first run takes beside inputs and outputs, measured with zeros; None where
         the system does not tell. The session must have an arena of its own, in which nothing ran.
@@ -287,6 +291,7 @@ class Session:
             raise ModelError(f"model '{self._name}' cannot be run: {first_line(error)}") from error
         return grown[0] if grown else None
 
+    @finished_before_the_end()
     def constants(self, names: Sequence[str]) -> dict[str, np.ndarray]:
         """Outputs that depend on no input: all that the model's metadata holds, and these outputs,
         from one run on zeros.
@@ -319,6 +324,7 @@ class Session:
             raise ModelError(f"model '{self._name}': '{CONSTANTS}' of its metadata is damaged: "
                              f"{first_line(error)}") from error
 
+    @finished_before_the_end()
     def copy_bytes(self, source: tuple[str, int, int], target: tuple[str, int, int],
                    nbytes: int) -> None:
         """Run a copying model from one (memory, index, pointer) to another."""

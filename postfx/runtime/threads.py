@@ -29,7 +29,7 @@ import numpy as np
 from postfx.compiled.calls import BoundRows
 from postfx.compiled.library import find_function
 from postfx.errors import CommandError, CommandTimeout
-from postfx.workers import Workers
+from postfx.workers import Workers, end_work
 
 SPIN_SECONDS = 100e-6
 """Seconds that a thread spins before it sleeps: more than the gap between two kernels."""
@@ -63,16 +63,18 @@ class CommandQueue:
     def __init__(self, name: str) -> None:
         self._work: Work = queue.SimpleQueue()
         self._apart: list[Future[None]] = []
-        thread = threading.Thread(target=_serve, args=(self._work,), name=name, daemon=True)
-        thread.start()
+        self._thread = threading.Thread(target=_serve, args=(self._work,), name=name, daemon=True)
+        self._thread.start()
         weakref.finalize(self, self._work.put, None).atexit = False
-        _threads[thread] = self._work
+        _threads[self._thread] = self._work
 
     def submit(self, work: Callable[[], None], beside: Executor | None = None) -> None:
         """Run `work` after everything submitted before; at once on a thread of `beside`, if that is
-        given."""
+        given. In the program's exit functions the caller runs it."""
         self._apart = [other for other in self._apart if not other.done()]
-        if beside is not None:
+        if not self._thread.is_alive():
+            _run_after(self._apart, work)
+        elif beside is not None:
             self._apart.append(beside.submit(work))
         elif self._apart:
             self._work.put(partial(_run_after, self._apart, work))
@@ -119,7 +121,9 @@ _threads: weakref.WeakKeyDictionary[threading.Thread, Work] = weakref.WeakKeyDic
 
 @atexit.register
 def _end_all() -> None:
-    """End the threads: one that the interpreter stops inside a library would abort the process."""
+    """End the threads: one that the interpreter stops inside a library would abort the process.
+    Before that, those that wait for them are done."""
+    end_work()
     for thread, work in list(_threads.items()):
         work.put(None)
         thread.join()
