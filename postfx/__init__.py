@@ -116,7 +116,11 @@ def __getattr__(name: str) -> Any:
         # Python's own hint needs to know the module
         raise AttributeError(f"module 'postfx' has no attribute '{name}'", name=name,
                              obj=sys.modules[__name__])
-    value = globals()[name] = getattr(import_module(_HOMES[name]), name)
+    from postfx.workers import finished_before_the_end
+
+    with finished_before_the_end():  # libraries in C++ come with it
+        module = import_module(_HOMES[name])
+    value = globals()[name] = getattr(module, name)
     return value
 
 
