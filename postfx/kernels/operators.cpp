@@ -2,10 +2,12 @@
 // tiles. Its interface is a table of C functions that only grows. What is used of it is declared
 // here, with the places in the table that onnxruntime_c_api.h gives.
 //
-//     Convolve3x3(image (1, C, h, w), weights (K, C, 3, 3), bias (K)) -> (1, K, h, w)
+//     Convolve3x3(weights (K, C, 3, 3) ..., biases (K) ..., pictures (1, C, h, w) ...) -> (1, K, h, w)
 //     Convolve3x3Relu: the same, and results below 0 become 0
 //
-// The bias may be missing.
+// The channels of all weights, one behind the other, are those of all pictures. So the sum of several
+// convolutions is one, and so is that of pictures that would be joined. Biases are added. A picture
+// but the last one may have half the size, and is enlarged: each pixel becomes four.
 #include "winograd.h"
 
 struct Failure;
@@ -20,12 +22,12 @@ typedef void* const* Functions;
 constexpr unsigned VERSION = 17;  // of the interface
 constexpr int FLOAT = 1, FAILED = 1, REQUIRED = 0, OPTIONAL = 1;
 constexpr Long MOST_PARTS = 32;  // of a picture, so that memory is asked for seldom
-constexpr Size AXES = 4, IMAGE = 0, WEIGHTS = 1, BIAS = 2, INPUTS = 3;
+constexpr Size AXES = 4, MOST_PICTURES = 4, INPUTS = 10;
 enum Place {
     CREATE_FAILURE = 0, CREATE_DOMAIN = 26, ADD_TO_DOMAIN = 27, ADD_DOMAIN = 28, DATA = 51,
-    CREATE_SHAPE = 57, SET_TYPE = 58, SET_SIZES = 59, SIZES = 62, SHAPE = 65, INPUT = 90,
-    OUTPUT = 91, RELEASE_SHAPE = 99, CONSTANT_INPUT = 249, INPUT_SHAPE = 268, OUTPUT_SHAPE = 270,
-    PARALLEL = 274,
+    CREATE_SHAPE = 57, SET_TYPE = 58, SET_SIZES = 59, AXIS_COUNT = 61, SIZES = 62, SHAPE = 65,
+    INPUT_COUNT = 88, INPUT = 90, OUTPUT = 91, RELEASE_SHAPE = 99, CONSTANT_INPUT = 249,
+    INPUT_SHAPE_COUNT = 267, INPUT_SHAPE = 268, OUTPUT_SHAPE = 270, PARALLEL = 274,
 };
 
 static Functions the_functions;
@@ -38,26 +40,31 @@ FN Failure* no_memory() {
 #define TRY(asked) \
     if (Failure* failed = asked) return failed
 
-static Failure* take_sizes(TensorShape* shape, Long* sizes) {
-    Failure* failed = ask(SIZES, (const TensorShape*)shape, sizes, AXES);
-    ask<void>(RELEASE_SHAPE, shape);
-    return failed;
+// Sizes of a shape, of at most `AXES` axes; those of others are 0.
+static Failure* take_sizes(const TensorShape* shape, Long* sizes, Size* count) {
+    TRY(ask(AXIS_COUNT, shape, count));
+    return *count > AXES ? ask(CREATE_FAILURE, FAILED, "a tensor of too many axes")
+                         : ask(SIZES, shape, sizes, *count);
 }
-static Failure* sizes_of(const Tensor* tensor, Long* sizes) {
+static Failure* sizes_of(const Tensor* tensor, Long* sizes, Size* count) {
     TensorShape* shape = nullptr;
     TRY(ask(SHAPE, tensor, &shape));
-    return take_sizes(shape, sizes);
+    Failure* failed = take_sizes(shape, sizes, count);
+    ask<void>(RELEASE_SHAPE, shape);
+    return failed;
 }
 static Failure* numbers_of(const Tensor* tensor, float** at) {
     return ask(DATA, (Tensor*)tensor, (void**)at);
 }
 
-// A node of a network that is ready to run, and behind it its weights.
+// A node of a network that is ready to run, and behind it its bias and its weights.
 struct Convolution {
     Layer layer;
+    Size constants;  // the inputs before the pictures
     bool is_rectified;
 
-    float* weights() { return (float*)(this + 1); }
+    float* bias() { return (float*)(this + 1); }
+    float* weights() { return bias() + layer.results; }
 };
 
 struct Operator {
@@ -84,50 +91,84 @@ struct Operator {
 };
 
 static Failure* infer_shape(const Operator*, ShapeQuestion* call) {
-    TensorShape *image = nullptr, *weights = nullptr, *shape = nullptr;
+    TensorShape *picture = nullptr, *weights = nullptr, *shape = nullptr;
     Long sizes[AXES] = {}, weight_sizes[AXES] = {};
-    TRY(ask(INPUT_SHAPE, (const ShapeQuestion*)call, IMAGE, &image));
-    TRY(ask(SIZES, (const TensorShape*)image, sizes, AXES));
-    TRY(ask(INPUT_SHAPE, (const ShapeQuestion*)call, WEIGHTS, &weights));
-    TRY(ask(SIZES, (const TensorShape*)weights, weight_sizes, AXES));
+    Size inputs = 0, count = 0;
+    const ShapeQuestion* asked = call;
+    TRY(ask(INPUT_SHAPE_COUNT, asked, &inputs));
+    TRY(ask(INPUT_SHAPE, asked, inputs - 1, &picture));
+    TRY(take_sizes(picture, sizes, &count));
+    TRY(ask(INPUT_SHAPE, asked, Size(0), &weights));
+    TRY(take_sizes(weights, weight_sizes, &count));
     if (sizes[2] <= 0 || sizes[3] <= 0) return nullptr;  // they are not fixed
     TRY(ask(CREATE_SHAPE, &shape));
     sizes[1] = weight_sizes[0];
     Failure* failed = ask(SET_TYPE, shape, FLOAT);
     if (!failed) failed = ask(SET_SIZES, shape, (const Long*)sizes, AXES);
-    if (!failed)
-        failed = ask(OUTPUT_SHAPE, (const ShapeQuestion*)call, Size(0), (const TensorShape*)shape);
+    if (!failed) failed = ask(OUTPUT_SHAPE, asked, Size(0), (const TensorShape*)shape);
     ask<void>(RELEASE_SHAPE, shape);
     return failed;
 }
 
-static Failure* create(const Operator* of, Functions, const NodeInfo* node, Convolution** made) {
-    const Tensor* weights = nullptr;
-    int is_constant = 0;
-    Long sizes[AXES];
+// An input of a node that never changes: weights (results, channels, 3, 3), or a bias (results).
+struct Constant {
     float* numbers;
-    TRY(ask(CONSTANT_INPUT, node, WEIGHTS, &is_constant, &weights));
-    if (!is_constant) return ask(CREATE_FAILURE, FAILED, "weights that are computed");
-    TRY(sizes_of(weights, sizes));
-    TRY(numbers_of(weights, &numbers));
-    const Layer layer{sizes[1], sizes[0], 0, 0};
-    *made = (Convolution*)malloc(sizeof(Convolution) + sizeof(float) * layer.weights());
+    Long sizes[AXES];
+    Size axes;
+
+    bool is_weights() const { return axes == AXES; }
+};
+static Failure* find_constants(const NodeInfo* node, Constant* found, Size* count) {
+    for (*count = 0; *count < INPUTS; ++*count) {
+        const Tensor* tensor = nullptr;
+        int is_constant = 0;
+        Constant& one = found[*count];
+        TRY(ask(CONSTANT_INPUT, node, *count, &is_constant, &tensor));
+        if (!is_constant) return nullptr;
+        TRY(sizes_of(tensor, one.sizes, &one.axes));
+        TRY(numbers_of(tensor, &one.numbers));
+    }
+    return nullptr;
+}
+
+static Failure* create(const Operator* of, Functions, const NodeInfo* node, Convolution** made) {
+    Constant constants[INPUTS];
+    Size count = 0;
+    TRY(find_constants(node, constants, &count));
+    Layer layer{};
+    for (const Constant* one = constants; one < constants + count; one++) {
+        layer.results = one->sizes[0];
+        if (one->is_weights()) layer.channels += one->sizes[1];
+    }
+    if (!layer.channels) return ask(CREATE_FAILURE, FAILED, "weights that are computed");
+    const Size size = sizeof(Convolution) + sizeof(float) * (layer.results + layer.weights());
+    *made = (Convolution*)malloc(size);
     if (!*made) return no_memory();
-    **made = {layer, of->is_rectified};
-    prepare_weights(layer, numbers, (*made)->weights());
+    __builtin_memset(*made, 0, size);
+    **made = {layer, count, of->is_rectified};
+    Long first = 0;
+    for (const Constant* one = constants; one < constants + count; one++)
+        if (one->is_weights()) {
+            prepare_weights(layer, one->numbers, first, one->sizes[1], (*made)->weights());
+            first += one->sizes[1];
+        } else {
+            for (Long k = 0; k < layer.results; k++) (*made)->bias()[k] += one->numbers[k];
+        }
     return nullptr;
 }
 
 struct Work {
     Convolution* convolution;
     Layer layer;
-    float *image, *bias, *out;
+    Source pictures[MOST_PICTURES];
+    float* out;
     Long parts;
     bool has_failed;
 };
 static void make_part(Work* work, Size part) {
-    Strips strips(work->layer, work->image, work->convolution->weights(),
-                        work->bias, work->out, work->convolution->is_rectified);
+    Convolution& own = *work->convolution;
+    Strips strips(work->layer, work->pictures, own.weights(), own.bias(), work->out,
+                  own.is_rectified);
     const Long count = work->layer.strips();
     if (!strips.room) work->has_failed = true;
     else
@@ -135,21 +176,38 @@ static void make_part(Work* work, Size part) {
             strips.make(i);
 }
 
+// The pictures that a node reads; the last one has the size of the results.
+static Failure* find_pictures(const NodeCall* call, Size first, Work* work) {
+    Size count = 0, axes = 0;
+    Long channels = 0, sizes[AXES];
+    TRY(ask(INPUT_COUNT, call, &count));
+    for (Size i = count; i-- > first;) {
+        const Tensor* tensor = nullptr;
+        float* numbers = nullptr;
+        TRY(ask(INPUT, call, i, &tensor));
+        TRY(sizes_of(tensor, sizes, &axes));
+        TRY(numbers_of(tensor, &numbers));
+        if (sizes[0] != 1) return ask(CREATE_FAILURE, FAILED, "a convolution of several images");
+        if (i == count - 1) {
+            work->layer.height = sizes[2];
+            work->layer.width = sizes[3];
+        }
+        const bool is_half = 2 * sizes[2] == work->layer.height && 2 * sizes[3] == work->layer.width;
+        if (!is_half && (sizes[2] != work->layer.height || sizes[3] != work->layer.width))
+            return ask(CREATE_FAILURE, FAILED, "a convolution of pictures of other sizes");
+        work->pictures[i - first] = {numbers, sizes[1], is_half};
+        channels += sizes[1];
+    }
+    return channels == work->layer.channels
+        ? nullptr : ask(CREATE_FAILURE, FAILED, "a convolution with weights for other channels");
+}
+
 static Failure* compute(Convolution* convolution, NodeCall* call) {
-    const Tensor *image = nullptr, *bias = nullptr;
     Tensor* out = nullptr;
-    Long sizes[AXES];
-    TRY(ask(INPUT, (const NodeCall*)call, IMAGE, &image));
-    TRY(ask(INPUT, (const NodeCall*)call, BIAS, &bias));
-    TRY(sizes_of(image, sizes));
-    if (sizes[0] != 1) return ask(CREATE_FAILURE, FAILED, "a convolution of several images");
-    Work work{convolution, convolution->layer, nullptr, nullptr, nullptr, 0, false};
-    work.layer.height = sizes[2];
-    work.layer.width = sizes[3];
-    sizes[1] = work.layer.results;
+    Work work{convolution, convolution->layer, {}, nullptr, 0, false};
+    TRY(find_pictures(call, convolution->constants, &work));
+    const Long sizes[AXES] = {1, work.layer.results, work.layer.height, work.layer.width};
     TRY(ask(OUTPUT, call, Size(0), (const Long*)sizes, AXES, &out));
-    TRY(numbers_of(image, &work.image));
-    if (bias) TRY(numbers_of(bias, &work.bias));
     TRY(numbers_of(out, &work.out));
     work.parts = smaller<Long>(work.layer.strips(), MOST_PARTS);
     TRY(ask(PARALLEL, (const NodeCall*)call, (void (*)(void*, Size))make_part, Size(work.parts),
@@ -169,7 +227,7 @@ constexpr Operator operator_of(const char* name, bool is_rectified) {
         .count_outputs = [](const Operator*) { return Size(1); },
         .compute = nullptr,
         .destroy = free,
-        .input_kind = [](const Operator*, Size at) { return at == BIAS ? OPTIONAL : REQUIRED; },
+        .input_kind = [](const Operator*, Size at) { return at < 2 ? REQUIRED : OPTIONAL; },
         .output_kind = [](const Operator*, Size) { return REQUIRED; },
         .memory = [](const Operator*, Size) { return 0; },
         .of_many = {},

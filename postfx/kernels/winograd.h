@@ -55,7 +55,16 @@ FN void back(Wide a, Wide b, Wide c, Wide d, Wide e, Wide f, Wide* to) {
     to[3] = less + 8.0f * far_less + f;
 }
 
-// Weights (results, channels, 3, 3) -> (groups, PLACES, channels, GROUP).
+// A picture whose channels a layer reads. One of half the size is read as if each of its pixels were
+// four.
+struct Source {
+    const float* at;
+    Long channels;
+    bool is_half;
+};
+
+// Weights (results, some, 3, 3) of some channels, the first of which is given -> those of a layer,
+// (groups, PLACES, channels, GROUP), which are 0 before.
 FN void forth_weight(const float* three, Long step, double* to) {
     const double a = three[0], b = three[step], c = three[2 * step];
     to[0] = a / 4;
@@ -65,18 +74,18 @@ FN void forth_weight(const float* three, Long step, double* to) {
     to[4] = a / 24 - b / 12 + c / 6;
     to[5] = c;
 }
-ONCE void prepare_weights(const Layer& layer, const float* weights, float* to) {
-    __builtin_memset(to, 0, sizeof(float) * layer.weights());
+ONCE void prepare_weights(const Layer& layer, const float* weights, Long first, Long some,
+                          float* to) {
     for (Long k = 0; k < layer.results; k++)
-        for (Long c = 0; c < layer.channels; c++) {
-            const float* nine = weights + 9 * (k * layer.channels + c);
+        for (Long c = 0; c < some; c++) {
+            const float* nine = weights + 9 * (k * some + c);
             float rows[SIDE][3];
             double six[SIDE];
             for (int x = 0; x < 3; x++) {
                 forth_weight(nine + x, 3, six);
                 for (int i = 0; i < SIDE; i++) rows[i][x] = float(six[i]);
             }
-            float* own = to + (k / GROUP * PLACES * layer.channels + c) * GROUP + k % GROUP;
+            float* own = to + (k / GROUP * PLACES * layer.channels + first + c) * GROUP + k % GROUP;
             for (int i = 0; i < SIDE; i++) {
                 forth_weight(rows[i], 1, six);
                 for (int j = 0; j < SIDE; j++)
@@ -85,10 +94,21 @@ ONCE void prepare_weights(const Layer& layer, const float* weights, float* to) {
         }
 }
 
+// Numbers of a row, from the first to before the end, of one of half as many, each of which counts
+// twice.
+FN void take_twice(const float* half, Long first, Long end, float* to) {
+    if (first % 2 && first < end) *to++ = half[first++ / 2];
+    const float* from = half + first / 2;
+    const Long pairs = (end - first) / 2;
+    for (Long i = 0; i < pairs; i++) to[2 * i] = to[2 * i + 1] = from[i];
+    if ((end - first) % 2) to[2 * pairs] = from[pairs];
+}
+
 // Makes strips of a layer's results, with memory of its own.
 struct Strips {
     const Layer layer;
-    const float *image, *weights, *bias;  // bias may be missing
+    const Source* pictures;  // as many as have all channels
+    const float *weights, *bias;
     float* out;
     const bool is_rectified;              // whether results below 0 become 0
     const Long tiles, row_size;
@@ -96,8 +116,9 @@ struct Strips {
     float *numbers, *sums, *rows, *phases;
     const float* taken[SIDE];  // the rows that are transformed next
 
-    Strips(Layer of, const float* from, const float* by, const float* add, float* to, bool clipped)
-        : layer(of), image(from), weights(by), bias(add), out(to), is_rectified(clipped),
+    Strips(Layer of, const Source* from, const float* by, const float* add, float* to,
+           bool clipped)
+        : layer(of), pictures(from), weights(by), bias(add), out(to), is_rectified(clipped),
           tiles(of.tiles()), row_size(TILE * tiles + 4 * WIDE),
           room(PLACES * of.channels * tiles + PLACES * GROUP * tiles + SIDE * row_size
                + TILE * (tiles + WIDE)) {
@@ -110,10 +131,13 @@ struct Strips {
     void make(Long strip) {
         const Long top = strip / layer.strips_across() * TILE;
         const Long left = strip % layer.strips_across() * TILE * tiles;
-        for (Long c = 0; c < layer.channels; c++) {
-            take_rows(image + c * layer.height * layer.width, top - 1, left - 1);
-            transform_rows(numbers + c * tiles);
-        }
+        float* to = numbers;
+        const float* end = numbers + layer.channels * tiles;
+        for (const Source* picture = pictures; to < end; picture++)
+            for (Long c = 0; c < picture->channels; c++, to += tiles) {
+                take_rows(*picture, c, top - 1, left - 1);
+                transform_rows(to);
+            }
         for (Long group = 0; group < layer.groups(); group++) {
             const float* own = weights + group * PLACES * layer.channels * GROUP;
             for (Long place = 0; place < PLACES; place++)
@@ -128,10 +152,12 @@ struct Strips {
 
 private:
     // Where six rows of a channel are from a place on: in the picture, or with zeros around it.
-    FN_MEMBER void take_rows(const float* plane, Long top, Long left) {
+    FN_MEMBER void take_rows(const Source& picture, Long channel, Long top, Long left) {
+        const Long halved = picture.is_half, width = layer.width >> halved;
+        const float* plane = picture.at + channel * (layer.height >> halved) * width;
         const Long size = TILE * tiles + 2;
         const Long first = left < 0 ? 0 : left, end = smaller(left + size, layer.width);
-        const bool is_inside = left >= 0 && left + size + WIDE <= layer.width;
+        const bool is_inside = left >= 0 && left + size + WIDE <= layer.width && !halved;
         for (Long i = 0; i < SIDE; i++) {
             float* row = rows + i * row_size;
             const Long y = top + i;
@@ -141,9 +167,11 @@ private:
             } else if (is_inside) {
                 taken[i] = plane + y * layer.width + left;
             } else {
+                const float* from = plane + (y >> halved) * width;
+                float* to = row + first - left;
                 fill(row, 0, first - left, 0.0f);
-                __builtin_memcpy(row + first - left, plane + y * layer.width + first,
-                                 sizeof(float) * (end - first));
+                if (halved) take_twice(from, first, end, to);
+                else __builtin_memcpy(to, from + first, sizeof(float) * (end - first));
                 fill(row, end - left, size, 0.0f);
             }
         }
@@ -196,7 +224,7 @@ private:
     // One result of each tile of a strip, across and then down.
     FN_MEMBER void write_tiles(Long k, Long top, Long left) const {
         const Long place = GROUP * tiles, height = smaller<Long>(TILE, layer.height - top);
-        const Wide add = bias ? bias[k] : 0.0f;
+        const Wide add = bias[k];
         float* to = out + (k * layer.height + top) * layer.width + left;
         for (Long t = 0; t < tiles && left + TILE * t < layer.width; t += WIDE) {
             const float* from = sums + k % GROUP * tiles + t;

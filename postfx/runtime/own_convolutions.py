@@ -2,13 +2,20 @@
 
 They go by tiles (`kernels/winograd.h`), which takes about half of ONNX Runtime's time. Results
 differ from its own by some 1e-6 of the largest one, about as much as those of two processors do.
+
+One of ours also adds the results of several convolutions, joins the channels of several pictures,
+enlarges those of half the size, and cuts results below 0, where a network does so around it. None
+of that is stored between.
 """
 
 from __future__ import annotations
 
 import logging
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+
+import numpy as np
 
 from postfx.compiled.library import library_of
 from postfx.errors import DeviceError
@@ -16,6 +23,7 @@ from postfx.runtime.model_file import (
     FLOAT,
     ModelFile,
     Node,
+    Weights,
     import_operators,
     parse_model,
     swap_nodes,
@@ -33,6 +41,15 @@ IN_INTEGERS = {"DequantizeLinear", "QLinearConv", "ConvInteger"}
 """Operators of networks that compute in integers: their convolutions are ONNX Runtime's."""
 MOVES = {"Identity", "Split", "Reshape"}
 """Operators whose results are parts of their first input."""
+MOST_ADDED = 3
+"""Convolutions whose sum is one of ours."""
+MOST_PICTURES = 4
+"""Pictures whose channels one of ours reads."""
+DOUBLING = {"mode": "nearest", "coordinate_transformation_mode": "asymmetric",
+            "nearest_mode": "floor"}
+"""Attributes of a node that makes four equal pixels of each."""
+TWICE = np.array([1, 1, 2, 2], "<f4").tobytes()
+"""Its scales."""
 
 
 def with_own_convolutions(content: bytes) -> bytes:
@@ -41,7 +58,7 @@ def with_own_convolutions(content: bytes) -> bytes:
     model = parse_model(content)
     if any(node.operator in IN_INTEGERS or node.has_graph for node in model.nodes):
         return content
-    swapped = _swapped(model)
+    swapped = _Plan(model).swapped()
     if not swapped or operators_library() is None:
         return content
     return import_operators(swap_nodes(content, swapped), DOMAIN)
@@ -62,40 +79,137 @@ def operators_library() -> Path | None:
         return None
 
 
-def _swapped(model: ModelFile) -> dict[int, Node | None]:
-    """Nodes by their places in a model that others replace, None those that go."""
-    makers = {output: node for node in model.nodes for output in node.outputs}
-    whole = {one.name for one in model.weights if one.kind == FLOAT}
-    readers: dict[str, list[int]] = {}
-    for place, node in enumerate(model.nodes):
-        for name in node.inputs:
-            readers.setdefault(name, []).append(place)
-    kept = {output.name for output in model.outputs}
+@dataclass
+class _Sum:
+    """Convolutions whose results are added: one of ours does them all.
 
-    def is_weight(name: str) -> bool:
+    Attributes:
+        convolutions: the nodes, in the order in which their channels are added.
+        result: the name of the sum.
+        is_rectified: whether an activation follows.
+    """
+
+    convolutions: list[Node]
+    result: str
+    is_rectified: bool = False
+
+
+class _Plan:
+    """Finds what ours can do in a model, and the nodes that stand in for others."""
+
+    def __init__(self, model: ModelFile) -> None:
+        self._nodes = model.nodes
+        self._makers = {output: node for node in model.nodes for output in node.outputs}
+        self._weights = {one.name: one for one in model.weights}
+        self._kept = {output.name for output in model.outputs}
+        self._readers: dict[str, list[Node]] = {}
+        for node in model.nodes:
+            for name in node.inputs:
+                self._readers.setdefault(name, []).append(node)
+
+    def swapped(self) -> dict[int, Node | None]:
+        """Nodes by their places in the model that others replace, None those that go."""
+        sums = self._sums()
+        last = {id(self._makers[one.result]): self._joined(one) for one in sums.values()}
+        gone = {id(node) for one in sums.values() for node in self._parts(one)}
+        found = {place: last.get(id(node)) for place, node in enumerate(self._nodes)
+                 if id(node) in gone | last.keys()}
+        return found | self._unread(found)
+
+    def _sums(self) -> dict[str, _Sum]:
+        """By the names of their results, with activations joined."""
+        sums: dict[str, _Sum] = {}
+        for node in self._nodes:  # in the order in which they run
+            if _is_convolution(node) and all(map(self._is_weight, node.inputs[1:])):
+                sums[node.outputs[0]] = _Sum([node], node.outputs[0])
+            elif _is_plain(node, "Add") and all(self._is_inner(name, sums) for name in node.inputs):
+                first, second = (sums[name].convolutions for name in node.inputs)
+                if len(first) + len(second) <= MOST_ADDED:
+                    for name in node.inputs:
+                        del sums[name]
+                    sums[node.outputs[0]] = _Sum([*first, *second], node.outputs[0])
+        for name in list(sums):
+            behind = self._readers.get(name, [])
+            if self._is_inner(name, sums) and _is_plain(behind[0], "Relu"):
+                one = sums.pop(name)
+                one.result, one.is_rectified = behind[0].outputs[0], True
+                sums[one.result] = one
+        return sums
+
+    def _is_inner(self, name: str, sums: dict[str, _Sum]) -> bool:
+        """Whether a value is such a sum that one node reads, once."""
+        return name in sums and len(self._readers.get(name, [])) == 1 and name not in self._kept
+
+    def _is_weight(self, name: str) -> bool:
         """Whether a value is made of float32 weights alone, or of others that become such."""
-        maker = makers.get(name)
+        maker = self._makers.get(name)
         if maker is None:
-            return name in whole
+            return name in self._weights and self._weights[name].kind == FLOAT
         if maker.operator == "Cast":
-            return maker.integers.get("to") == (FLOAT,) and maker.inputs[0] not in makers
-        return maker.operator in MOVES and is_weight(maker.inputs[0])
+            return maker.integers.get("to") == (FLOAT,) and maker.inputs[0] not in self._makers
+        return maker.operator in MOVES and self._is_weight(maker.inputs[0])
 
-    found: dict[int, Node | None] = {}
-    for place, node in enumerate(model.nodes):
-        if not (_is_convolution(node) and is_weight(node.inputs[1])):
-            continue
-        result, operator = node.outputs[0], "Convolve3x3"
-        behind = readers.get(result, [])
-        if len(behind) == 1 and result not in kept and _is_relu(model.nodes[behind[0]]):
-            result, operator = model.nodes[behind[0]].outputs[0], "Convolve3x3Relu"
-            found[behind[0]] = None
-        found[place] = Node(operator, DOMAIN, node.inputs, [result])
-    return found
+    def _joined(self, one: _Sum) -> Node:
+        """Our node for a sum."""
+        ordered = sorted(one.convolutions, key=lambda node: not self._is_doubled(node.inputs[0]))
+        pictures = [self._joined_by(node.inputs[0]) for node in ordered]
+        if sum(map(len, pictures)) > MOST_PICTURES:
+            pictures = [[node.inputs[0]] for node in ordered]
+        names = [name for some in pictures for name in some]
+        names = [*map(self._half, names[:-1]), names[-1]]  # the last one tells the size
+        biases = [name for node in ordered for name in node.inputs[2:]]
+        return Node("Convolve3x3Relu" if one.is_rectified else "Convolve3x3", DOMAIN,
+                    [*(node.inputs[1] for node in ordered), *biases, *names], [one.result])
+
+    def _joined_by(self, name: str) -> list[str]:
+        """The pictures whose channels a value has one behind the other, if only convolutions read
+        it."""
+        maker = self._makers.get(name)
+        if (maker is None or not _is_plain(maker, "Concat") or maker.integers.get("axis") != (1,)
+            or not all(map(_is_convolution, self._readers[name]))):
+            return [name]
+        return maker.inputs
+
+    def _half(self, name: str) -> str:
+        """The picture of half the size that a value is an enlarged one of; else the value."""
+        maker = self._makers.get(name)
+        return maker.inputs[0] if maker and self._is_doubled(name) else name
+
+    def _is_doubled(self, name: str) -> bool:
+        """Whether each pixel of a picture becomes four equal ones in a value."""
+        maker = self._makers.get(name)
+        if maker is None or not _is_plain(maker, "Resize") or len(maker.inputs) != 3:
+            return False
+        scales = self._weights.get(maker.inputs[2], Weights())
+        return ({key: maker.words.get(key) for key in DOUBLING} == DOUBLING and scales.raw
+                and scales.kind == FLOAT and bytes(scales.content) == TWICE)
+
+    def _parts(self, one: _Sum) -> list[Node]:
+        """The nodes that a sum does: convolutions, additions and an activation."""
+        found, names = [], [one.result]
+        while names:
+            node = self._makers[names.pop()]
+            found.append(node)
+            if node not in one.convolutions:
+                names += node.inputs
+        return found
+
+    def _unread(self, swapped: dict[int, Node | None]) -> dict[int, None]:
+        """The places of nodes that joined or enlarged what nobody reads any more."""
+        found: dict[int, None] = {}
+        for place, node in reversed([*enumerate(self._nodes)]):
+            if node.operator not in ("Concat", "Resize") or self._kept & {*node.outputs}:
+                continue
+            left = (swapped.get(at, other) for at, other in enumerate(self._nodes)
+                    if at not in found)
+            if not any(output in other.inputs for other in left if other
+                       for output in node.outputs):
+                found[place] = None
+        return found
 
 
-def _is_relu(node: Node) -> bool:
-    return node.operator == "Relu" and not node.domain
+def _is_plain(node: Node, operator: str) -> bool:
+    return node.operator == operator and not node.domain
 
 
 def _is_convolution(node: Node) -> bool:

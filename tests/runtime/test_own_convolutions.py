@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -78,6 +79,150 @@ def test_sums_by_tiles_are_those_of_the_convolution(size: tuple[int, int], chann
     wanted = run(model, image)
     np.testing.assert_allclose(run(own, image), wanted, atol=2e-5 * max(np.abs(wanted).max(), 1))
     assert (wanted < 0).any() != kind.get("relu", False) or wanted.size < 9
+
+
+class Drawing:
+    """A network that is put together node by node, of random weights."""
+
+    def __init__(self) -> None:
+        self.random = np.random.default_rng(5)
+        self.nodes: list[Any] = []
+        self.weights: list[Any] = []
+        self.inputs: dict[str, np.ndarray] = {}
+
+    def picture(self, name: str, channels: int, height: int, width: int) -> str:
+        self.inputs[name] = self.random.normal(size=(1, channels, height, width)).astype("f4")
+        return name
+
+    def weight(self, name: str, values: np.ndarray) -> str:
+        self.weights.append(numpy_helper.from_array(values.astype(np.float32), name))
+        return name
+
+    def node(self, operator: str, *reads: str, **attributes: Any) -> str:
+        name = f"{operator}{len(self.nodes)}"
+        self.nodes.append(helper.make_node(operator, reads, [name], **attributes))
+        return name
+
+    def convolved(self, name: str, channels: int, results: int, bias: bool = True) -> str:
+        number = len(self.nodes)
+        draw = self.random.normal(0, 1 / (3 * channels**0.5), (results, channels, 3, 3))
+        reads = [name, self.weight(f"weight{number}", draw)]
+        if bias:
+            reads.append(self.weight(f"bias{number}", self.random.normal(size=results)))
+        return self.node("Conv", *reads, kernel_shape=[3, 3], pads=[1, 1, 1, 1])
+
+    def enlarged(self, name: str, times: float = 2, nearest: str = "floor") -> str:
+        scales = self.weight(f"scales{len(self.nodes)}", np.array([1, 1, times, times]))
+        return self.node("Resize", name, "", scales, mode="nearest", nearest_mode=nearest,
+                         coordinate_transformation_mode="asymmetric")
+
+    def model(self, *results: str) -> bytes:
+        shapes = [helper.make_tensor_value_info(name, TensorProto.FLOAT, array.shape)
+                  for name, array in self.inputs.items()]
+        outs = [helper.make_tensor_value_info(name, TensorProto.FLOAT, None) for name in results]
+        graph = helper.make_graph(self.nodes, "drawn", shapes, outs, self.weights)
+        made = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+        return bytes(made.SerializeToString())
+
+
+def of_several_pictures(drawing: Drawing, height: int, width: int) -> str:
+    pictures = [drawing.picture(f"p{count}", count, height, width) for count in (3, 1, 5)]
+    joined = drawing.node("Concat", *pictures, axis=1)
+    return drawing.node("Relu", drawing.convolved(joined, 9, 7))
+
+
+def of_a_smaller_picture(drawing: Drawing, height: int, width: int) -> str:
+    small = drawing.picture("small", 4, height, width)
+    large = drawing.picture("large", 3, 2 * height, 2 * width)
+    joined = drawing.node("Concat", drawing.enlarged(small), large, axis=1)
+    return drawing.convolved(joined, 7, 9)
+
+
+def of_added_convolutions(drawing: Drawing, height: int, width: int) -> str:
+    small = drawing.picture("small", 4, height, width)
+    one, two = (drawing.picture(name, count, 2 * height, 2 * width)
+                for name, count in (("one", 2), ("two", 6)))
+    first = drawing.node("Add", drawing.convolved(one, 2, 5),
+                         drawing.convolved(drawing.enlarged(small), 4, 5, bias=False))
+    return drawing.node("Relu", drawing.node("Add", first, drawing.convolved(two, 6, 5)))
+
+
+@pytest.mark.parametrize("size", [(1, 1), (2, 3), (19, 65), (5, 131)])
+@pytest.mark.parametrize("draw", [of_several_pictures, of_a_smaller_picture,
+                                  of_added_convolutions])
+def test_one_convolution_joins_enlarges_and_adds(
+    draw: Callable[[Drawing, int, int], str], size: tuple[int, int]
+) -> None:
+    drawing = Drawing()
+    model = drawing.model(draw(drawing, *size))
+    own = with_own_convolutions(model)
+    assert len(onnx.load_from_string(own).graph.node) == 1
+    (wanted,), (found,) = (run_all(one, drawing.inputs) for one in (model, own))
+    np.testing.assert_allclose(found, wanted, atol=2e-5 * max(np.abs(wanted).max(), 1))
+
+
+def run_all(model: bytes, inputs: dict[str, np.ndarray]) -> list[np.ndarray]:
+    options = ort.SessionOptions()
+    if has_own_convolutions(model):
+        options.register_custom_ops_library(str(operators_library()))
+    session = ort.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    found: list[np.ndarray] = session.run(None, inputs)
+    return found
+
+
+def with_a_joined_picture_that_others_read(drawing: Drawing) -> list[str]:
+    joined = drawing.node("Concat", drawing.picture("a", 2, 6, 8), drawing.picture("b", 3, 6, 8),
+                          axis=1)
+    return [drawing.convolved(joined, 5, 4), drawing.node("Abs", joined)]
+
+
+def with_an_enlarged_picture_alone(drawing: Drawing) -> list[str]:
+    return [drawing.convolved(drawing.enlarged(drawing.picture("a", 2, 6, 8)), 2, 4)]
+
+
+def with_a_picture_of_a_third(drawing: Drawing) -> list[str]:
+    large = drawing.picture("large", 3, 18, 24)
+    small = drawing.enlarged(drawing.picture("small", 2, 6, 8), times=3)
+    return [drawing.convolved(drawing.node("Concat", small, large, axis=1), 5, 4)]
+
+
+def with_a_sum_that_others_read(drawing: Drawing) -> list[str]:
+    first = drawing.convolved(drawing.picture("a", 2, 6, 8), 2, 4)
+    return [drawing.node("Add", first, drawing.convolved(drawing.picture("b", 3, 6, 8), 3, 4)),
+            drawing.node("Relu", first)]
+
+
+def with_pictures_joined_along_rows(drawing: Drawing) -> list[str]:
+    joined = drawing.node("Concat", drawing.picture("a", 2, 6, 8), drawing.picture("b", 2, 6, 8),
+                          axis=2)
+    return [drawing.convolved(joined, 2, 4)]
+
+
+def with_more_convolutions_than_one_adds(drawing: Drawing) -> list[str]:
+    result = drawing.convolved(drawing.picture("p0", 1, 6, 8), 1, 4)
+    for number in range(1, 5):
+        next_one = drawing.convolved(drawing.picture(f"p{number}", 1, 6, 8), 1, 4)
+        result = drawing.node("Add", result, next_one)
+    return [result]
+
+
+def with_more_pictures_than_one_reads(drawing: Drawing) -> list[str]:
+    pictures = [drawing.picture(f"p{number}", 1, 6, 8) for number in range(6)]
+    return [drawing.convolved(drawing.node("Concat", *pictures, axis=1), 6, 4)]
+
+
+@pytest.mark.parametrize("draw", [
+    with_a_joined_picture_that_others_read, with_an_enlarged_picture_alone,
+    with_a_picture_of_a_third, with_a_sum_that_others_read, with_pictures_joined_along_rows,
+    with_more_convolutions_than_one_adds, with_more_pictures_than_one_reads])
+def test_results_stay_where_less_can_be_joined(draw: Callable[[Drawing], list[str]]) -> None:
+    drawing = Drawing()
+    model = drawing.model(*draw(drawing))
+    own = with_own_convolutions(model)
+    assert has_own_convolutions(own)
+    for wanted, found in zip(run_all(model, drawing.inputs), run_all(own, drawing.inputs),
+                             strict=True):
+        np.testing.assert_allclose(found, wanted, atol=2e-5 * np.abs(wanted).max())
 
 
 def test_levels_with_fused_products_give_the_same_bits() -> None:
