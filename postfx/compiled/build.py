@@ -23,7 +23,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -182,9 +182,10 @@ def _read_index(folder: Path, digest: str) -> dict[str, tuple[str, str]]:
 
 
 def build(units: Sequence[Path], target: str, folder: Path, levels: Iterable[str] = (),
-          flags: Sequence[str] = ()) -> dict[str, Path]:
+          flags: Sequence[str] = (),
+          make_pool: Callable[[int], Executor] = ThreadPoolExecutor) -> dict[str, Path]:
     """Libraries by level, those given or all, which are compiled unless another process has done so
-    meanwhile."""
+    meanwhile. ``make_pool``: of as many threads, which wait for the compiler."""
     folder.mkdir(parents=True, exist_ok=True)
     digest, kind = digest_of(units, target, flags), TARGETS[target]
     # a lock for these sources alone: others are compiled at the same time
@@ -194,7 +195,7 @@ def build(units: Sequence[Path], target: str, folder: Path, levels: Iterable[str
         if missing:
             _remove_unused(folder)
             with tempfile.TemporaryDirectory(dir=folder) as made:
-                compiler = _Compiler(find_compiler(), kind, Path(made), flags)
+                compiler = _Compiler(find_compiler(), kind, Path(made), flags, make_pool)
                 for level, path in compiler.make(units, target, missing,
                                                  folder / "objects").items():
                     name = f"{digest}-{path.name}"
@@ -247,9 +248,10 @@ def find_compiler() -> list[str]:
 class _Compiler:
     """Runs the compiler for a kind of machine, in a folder that is removed afterwards."""
 
-    def __init__(self, command: list[str], target: Target, folder: Path,
-                 flags: Sequence[str]) -> None:
+    def __init__(self, command: list[str], target: Target, folder: Path, flags: Sequence[str],
+                 make_pool: Callable[[int], Executor]) -> None:
         self._command, self._target, self._folder, self._flags = command, target, folder, flags
+        self._make_pool = make_pool
         self._environment = os.environ | {"ZIG_LOCAL_CACHE_DIR": str(folder / "local")}
         if target.flags == NO_LIBRARY_FLAGS:
             # there is nothing to keep in it
@@ -263,7 +265,7 @@ class _Compiler:
         objects.mkdir(exist_ok=True)
         coming: dict[tuple[Path, str], Future[Path]] = {}
         parts: dict[tuple[Path, str], Future[Path]] = {}
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
+        with self._make_pool(os.cpu_count() or 1) as pool:
             for unit in sorted(units, key=lambda unit: -unit.stat().st_size):
                 for level in levels:
                     own = _compiled_for(unit, level)

@@ -275,7 +275,7 @@ def _find_or_build(units: list[Path], level: str, own: bool, flags: Sequence[str
             raise build.CannotBuild("compiled kernels can be kept nowhere: set XDG_CACHE_HOME to a "
                                     "folder of your own")
         with _told():
-            return build.build(units, target, writable[0], [level], flags)[level]
+            return build.build(units, target, writable[0], [level], flags, Workers)[level]
     except (build.CannotBuild, OSError) as error:
         raise DeviceError(str(error)) from None
 
