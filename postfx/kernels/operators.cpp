@@ -1,5 +1,5 @@
 // Operators that ONNX Runtime calls while it runs a network on a CPU: convolutions of 3x3 pixels by
-// tiles. Its interface is a table of C functions that only grows. What is used of it is declared
+// tiles, and means of windows. Its interface is a table of C functions that only grows. What is used of it is declared
 // here, with the places in the table that onnxruntime_c_api.h gives.
 //
 //     Convolve3x3(weights (K, C, 3, 3) ..., biases (K) ..., pictures (1, C, h, w) ...) -> (1, K, h, w)
@@ -8,6 +8,11 @@
 // The channels of all weights, one behind the other, are those of all pictures. So the sum of several
 // convolutions is one, and so is that of pictures that would be joined. Biases are added. A picture
 // but the last one may have half the size, and is enlarged: each pixel becomes four.
+//
+//     WindowMean(picture (1, C, h, w), axis = 2 or 3, size) -> (1, C, h, w)
+//
+// The size is an odd number of pixels.
+#include "window_means.h"
 #include "winograd.h"
 
 struct Failure;
@@ -26,7 +31,7 @@ constexpr Size AXES = 4, MOST_PICTURES = 4, INPUTS = 10;
 enum Place {
     CREATE_FAILURE = 0, CREATE_DOMAIN = 26, ADD_TO_DOMAIN = 27, ADD_DOMAIN = 28, DATA = 51,
     CREATE_SHAPE = 57, SET_TYPE = 58, SET_SIZES = 59, AXIS_COUNT = 61, SIZES = 62, SHAPE = 65,
-    INPUT_COUNT = 88, INPUT = 90, OUTPUT = 91, RELEASE_SHAPE = 99, CONSTANT_INPUT = 249,
+    INTEGER_ATTRIBUTE = 86, INPUT_COUNT = 88, INPUT = 90, OUTPUT = 91, RELEASE_SHAPE = 99, CONSTANT_INPUT = 249,
     INPUT_SHAPE_COUNT = 267, INPUT_SHAPE = 268, OUTPUT_SHAPE = 270, PARALLEL = 274,
 };
 
@@ -57,6 +62,18 @@ static Failure* numbers_of(const Tensor* tensor, float** at) {
     return ask(DATA, (Tensor*)tensor, (void**)at);
 }
 
+// Answers which sizes a result has, unless they are not fixed.
+static Failure* tell_sizes(const ShapeQuestion* asked, const Long* sizes) {
+    TensorShape* shape = nullptr;
+    if (sizes[2] <= 0 || sizes[3] <= 0) return nullptr;
+    TRY(ask(CREATE_SHAPE, &shape));
+    Failure* failed = ask(SET_TYPE, shape, FLOAT);
+    if (!failed) failed = ask(SET_SIZES, shape, sizes, AXES);
+    if (!failed) failed = ask(OUTPUT_SHAPE, asked, Size(0), (const TensorShape*)shape);
+    ask<void>(RELEASE_SHAPE, shape);
+    return failed;
+}
+
 // A node of a network that is ready to run, and behind it its bias and its weights.
 struct Convolution {
     Layer layer;
@@ -82,16 +99,16 @@ struct Operator {
     int (*output_kind)(const Operator*, Size);
     int (*memory)(const Operator*, Size);
     void* of_many[4];
-    Failure* (*create_checked)(const Operator*, Functions, const NodeInfo*, Convolution**);
-    Failure* (*compute_checked)(Convolution*, NodeCall*);
+    Failure* (*create_checked)(const Operator*, Functions, const NodeInfo*, void**);
+    Failure* (*compute_checked)(void*, NodeCall*);
     Failure* (*infer_shape)(const Operator*, ShapeQuestion*);
     void* of_versions_and_aliases[6];
     const char* own_name;
     bool is_rectified;
 };
 
-static Failure* infer_shape(const Operator*, ShapeQuestion* call) {
-    TensorShape *picture = nullptr, *weights = nullptr, *shape = nullptr;
+static Failure* infer_sums(const Operator*, ShapeQuestion* call) {
+    TensorShape *picture = nullptr, *weights = nullptr;
     Long sizes[AXES] = {}, weight_sizes[AXES] = {};
     Size inputs = 0, count = 0;
     const ShapeQuestion* asked = call;
@@ -100,14 +117,8 @@ static Failure* infer_shape(const Operator*, ShapeQuestion* call) {
     TRY(take_sizes(picture, sizes, &count));
     TRY(ask(INPUT_SHAPE, asked, Size(0), &weights));
     TRY(take_sizes(weights, weight_sizes, &count));
-    if (sizes[2] <= 0 || sizes[3] <= 0) return nullptr;  // they are not fixed
-    TRY(ask(CREATE_SHAPE, &shape));
     sizes[1] = weight_sizes[0];
-    Failure* failed = ask(SET_TYPE, shape, FLOAT);
-    if (!failed) failed = ask(SET_SIZES, shape, (const Long*)sizes, AXES);
-    if (!failed) failed = ask(OUTPUT_SHAPE, asked, Size(0), (const TensorShape*)shape);
-    ask<void>(RELEASE_SHAPE, shape);
-    return failed;
+    return tell_sizes(asked, sizes);
 }
 
 // An input of a node that never changes: weights (results, channels, 3, 3), or a bias (results).
@@ -131,7 +142,8 @@ static Failure* find_constants(const NodeInfo* node, Constant* found, Size* coun
     return nullptr;
 }
 
-static Failure* create(const Operator* of, Functions, const NodeInfo* node, Convolution** made) {
+static Failure* create_convolution(const Operator* of, Functions, const NodeInfo* node,
+                                   void** made) {
     Constant constants[INPUTS];
     Size count = 0;
     TRY(find_constants(node, constants, &count));
@@ -142,17 +154,17 @@ static Failure* create(const Operator* of, Functions, const NodeInfo* node, Conv
     }
     if (!layer.channels) return ask(CREATE_FAILURE, FAILED, "weights that are computed");
     const Size size = sizeof(Convolution) + sizeof(float) * (layer.results + layer.weights());
-    *made = (Convolution*)malloc(size);
-    if (!*made) return no_memory();
-    __builtin_memset(*made, 0, size);
-    **made = {layer, count, of->is_rectified};
+    auto* own = (Convolution*)(*made = malloc(size));
+    if (!own) return no_memory();
+    __builtin_memset(own, 0, size);
+    *own = {layer, count, of->is_rectified};
     Long first = 0;
     for (const Constant* one = constants; one < constants + count; one++)
         if (one->is_weights()) {
-            prepare_weights(layer, one->numbers, first, one->sizes[1], (*made)->weights());
+            prepare_weights(layer, one->numbers, first, one->sizes[1], own->weights());
             first += one->sizes[1];
         } else {
-            for (Long k = 0; k < layer.results; k++) (*made)->bias()[k] += one->numbers[k];
+            for (Long k = 0; k < layer.results; k++) own->bias()[k] += one->numbers[k];
         }
     return nullptr;
 }
@@ -202,7 +214,8 @@ static Failure* find_pictures(const NodeCall* call, Size first, Work* work) {
         ? nullptr : ask(CREATE_FAILURE, FAILED, "a convolution with weights for other channels");
 }
 
-static Failure* compute(Convolution* convolution, NodeCall* call) {
+static Failure* convolve(void* node, NodeCall* call) {
+    auto* convolution = (Convolution*)node;
     Tensor* out = nullptr;
     Work work{convolution, convolution->layer, {}, nullptr, 0, false};
     TRY(find_pictures(call, convolution->constants, &work));
@@ -215,7 +228,63 @@ static Failure* compute(Convolution* convolution, NodeCall* call) {
     return work.has_failed ? no_memory() : nullptr;
 }
 
-constexpr Operator operator_of(const char* name, bool is_rectified) {
+// A node that takes means of windows.
+struct Mean {
+    Long axis, size;
+};
+
+static Failure* infer_mean(const Operator*, ShapeQuestion* call) {
+    TensorShape* picture = nullptr;
+    Long sizes[AXES] = {};
+    Size count = 0;
+    const ShapeQuestion* asked = call;
+    TRY(ask(INPUT_SHAPE, asked, Size(0), &picture));
+    TRY(take_sizes(picture, sizes, &count));
+    return tell_sizes(asked, sizes);
+}
+
+static Failure* create_mean(const Operator*, Functions, const NodeInfo* node, void** made) {
+    auto* own = (Mean*)(*made = malloc(sizeof(Mean)));
+    if (!own) return no_memory();
+    TRY(ask(INTEGER_ATTRIBUTE, node, "axis", &own->axis));
+    return ask(INTEGER_ATTRIBUTE, node, "size", &own->size);
+}
+
+struct MeanWork {
+    WindowMeans means;
+    Long parts;
+    bool has_failed;
+};
+static void make_mean_part(MeanWork* work, Size part) {
+    const WindowMeans& means = work->means;
+    const Room<float> sums(means.room());
+    if (!sums) work->has_failed = true;
+    else
+        for (Long row = means.rows() * part / work->parts;
+             row < Long(means.rows() * (part + 1) / work->parts); row++)
+            means.make(row, sums.at);
+}
+
+static Failure* take_means(void* node, NodeCall* call) {
+    const Mean& own = *(const Mean*)node;
+    const Tensor* picture = nullptr;
+    Tensor* out = nullptr;
+    Long sizes[AXES] = {};
+    Size axes = 0;
+    float *from = nullptr, *to = nullptr;
+    TRY(ask(INPUT, (const NodeCall*)call, Size(0), &picture));
+    TRY(sizes_of(picture, sizes, &axes));
+    TRY(numbers_of(picture, &from));
+    TRY(ask(OUTPUT, call, Size(0), (const Long*)sizes, AXES, &out));
+    TRY(numbers_of(out, &to));
+    MeanWork work{{sizes[0] * sizes[1], sizes[2], sizes[3], own.size / 2, own.axis == 2, from, to},
+                  MOST_PARTS, false};
+    TRY(ask(PARALLEL, (const NodeCall*)call, (void (*)(void*, Size))make_mean_part,
+            Size(work.parts), Size(0), (void*)&work));
+    return work.has_failed ? no_memory() : nullptr;
+}
+
+constexpr Operator convolution_of(const char* name, bool is_rectified) {
     return {
         .version = VERSION,
         .create = nullptr,
@@ -231,13 +300,21 @@ constexpr Operator operator_of(const char* name, bool is_rectified) {
         .output_kind = [](const Operator*, Size) { return REQUIRED; },
         .memory = [](const Operator*, Size) { return 0; },
         .of_many = {},
-        .create_checked = create,
-        .compute_checked = compute,
-        .infer_shape = infer_shape,
+        .create_checked = create_convolution,
+        .compute_checked = convolve,
+        .infer_shape = infer_sums,
         .of_versions_and_aliases = {},
         .own_name = name,
         .is_rectified = is_rectified,
     };
+}
+constexpr Operator mean_of(const char* name) {
+    Operator made = convolution_of(name, false);
+    made.count_inputs = [](const Operator*) { return Size(1); };
+    made.create_checked = create_mean;
+    made.compute_checked = take_means;
+    made.infer_shape = infer_mean;
+    return made;
 }
 
 struct Interface {
@@ -247,8 +324,9 @@ struct Interface {
 
 // What ONNX Runtime calls where a session names this library.
 EXPORTED Word RegisterCustomOps(Word options, const Interface* interface) {
-    static constexpr Operator OPERATORS[] = {operator_of("Convolve3x3", false),
-                                             operator_of("Convolve3x3Relu", true)};
+    static constexpr Operator OPERATORS[] = {convolution_of("Convolve3x3", false),
+                                             convolution_of("Convolve3x3Relu", true),
+                                             mean_of("WindowMean")};
     the_functions = interface->functions(VERSION);
     void* domain = nullptr;
     Failure* failed = ask(CREATE_DOMAIN, "postfx", &domain);

@@ -105,6 +105,8 @@ class _ElementType:
 
 FLOAT = _ElementType.FLOAT
 """ONNX's number of the element type float32."""
+_INTEGER = 2
+"""Type of an attribute that holds an integer."""
 _INTEGERS = 7
 """Type of an attribute that holds several integers."""
 
@@ -472,8 +474,8 @@ def _product(output: str, makers: Mapping[str, Node],
 
 
 def swap_nodes(content: bytes, swapped: Mapping[int, Node | None]) -> bytes:
-    """A model's file in which other nodes without attributes stand in for some, by their places;
-    None: nothing does."""
+    """A model's file in which other nodes stand in for some, by their places; None: nothing does.
+    Their attributes are single integers."""
     def change(graph: memoryview) -> bytes:
         parts: list[bytes | memoryview] = []
         places = count()
@@ -496,11 +498,16 @@ def import_operators(content: bytes, domain: str) -> bytes:
 
 
 def _as_node(node: Node) -> bytes:
-    """A node without attributes."""
+    """A node whose attributes are single integers."""
     texts = [*((_NodeField.INPUT, name) for name in node.inputs),
              *((_NodeField.OUTPUT, name) for name in node.outputs),
              (_NodeField.OP_TYPE, node.operator), (_NodeField.DOMAIN, node.domain)]
-    return b"".join(_as_field(number, words.encode()) for number, words in texts)
+    attributes = [_as_field(_AttributeField.NAME, name.encode())
+                  + _as_number(_AttributeField.INTEGER, value)
+                  + _as_number(_AttributeField.TYPE, _INTEGER)
+                  for name, (value,) in node.integers.items()]
+    return b"".join([*(_as_field(number, words.encode()) for number, words in texts),
+                     *(_as_field(_NodeField.ATTRIBUTE, one) for one in attributes)])
 
 
 def _name_of(message: memoryview) -> str:

@@ -5,7 +5,7 @@ differ from its own by some 1e-6 of the largest one, about as much as those of t
 
 One of ours also adds the results of several convolutions, joins the channels of several pictures,
 enlarges those of half the size, and cuts results below 0, where a network does so around it. None
-of that is stored between.
+of that is stored between. Means of windows along rows and columns are ours, too.
 """
 
 from __future__ import annotations
@@ -41,6 +41,10 @@ IN_INTEGERS = {"DequantizeLinear", "QLinearConv", "ConvInteger"}
 """Operators of networks that compute in integers: their convolutions are ONNX Runtime's."""
 MOVES = {"Identity", "Split", "Reshape"}
 """Operators whose results are parts of their first input."""
+OTHER_FLOATS = {10, 11, 16}
+"""ONNX's numbers of the element types float16, float64 and bfloat16."""
+MEAN_OPTIONS = ("ceil_mode", "count_include_pad")
+"""Attributes that windows of ours do not have."""
 MOST_ADDED = 3
 """Convolutions whose sum is one of ours."""
 MOST_PICTURES = 4
@@ -114,6 +118,9 @@ class _Plan:
         gone = {id(node) for one in sums.values() for node in self._parts(one)}
         found = {place: last.get(id(node)) for place, node in enumerate(self._nodes)
                  if id(node) in gone | last.keys()}
+        if found and not any(_is_cast_to_others(node) for node in self._nodes):
+            found |= {place: _own_mean(node) for place, node in enumerate(self._nodes)
+                      if _is_mean(node)}
         return found | self._unread(found)
 
     def _sums(self) -> dict[str, _Sum]:
@@ -206,6 +213,30 @@ class _Plan:
                        for output in node.outputs):
                 found[place] = None
         return found
+
+
+def _is_cast_to_others(node: Node) -> bool:
+    """Whether a network has numbers of floating point that are not float32."""
+    return _is_plain(node, "Cast") and node.integers["to"][0] in OTHER_FLOATS
+
+
+def _is_mean(node: Node) -> bool:
+    """Whether a node takes means of windows of an odd number of pixels, along rows or columns, of
+    those that are in the picture."""
+    height, width = node.integers.get("kernel_shape", (0, 0))
+    across, down = width // 2, height // 2
+    return (_is_plain(node, "AveragePool") and height % 2 == width % 2 == 1 == min(height, width)
+            and node.integers.get("pads") == (down, across, down, across)
+            and node.integers.get("strides", (1, 1)) == (1, 1)
+            and node.integers.get("dilations", (1, 1)) == (1, 1)
+            and not any(node.integers.get(name, (0,))[0] for name in MEAN_OPTIONS)
+            and node.words.get("auto_pad", "NOTSET") == "NOTSET")
+
+
+def _own_mean(node: Node) -> Node:
+    height, width = node.integers["kernel_shape"]
+    return Node("WindowMean", DOMAIN, node.inputs, node.outputs,
+                integers={"axis": (2 if height > 1 else 3,), "size": (max(height, width),)})
 
 
 def _is_plain(node: Node, operator: str) -> bool:

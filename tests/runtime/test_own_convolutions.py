@@ -170,6 +170,41 @@ def run_all(model: bytes, inputs: dict[str, np.ndarray]) -> list[np.ndarray]:
     return found
 
 
+@pytest.mark.parametrize("size", [(1, 1), (3, 5), (2, 40), (40, 2), (37, 130)])
+@pytest.mark.parametrize("window", [(1, 3), (3, 1), (1, 15), (15, 1)])
+def test_means_of_windows_are_those_of_the_network(size: tuple[int, int],
+                                                   window: tuple[int, int]) -> None:
+    drawing = Drawing()
+    picture = drawing.picture("picture", 3, *size)
+    model = drawing.model(averaged(drawing, picture, window),
+                          drawing.convolved(picture, 3, 2))
+    own = with_own_convolutions(model)
+    assert {node.op_type for node in onnx.load_from_string(own).graph.node} == {"WindowMean",
+                                                                                "Convolve3x3"}
+    for wanted, found in zip(run_all(model, drawing.inputs), run_all(own, drawing.inputs),
+                             strict=True):
+        np.testing.assert_allclose(found, wanted, atol=1e-5)
+
+
+def averaged(drawing: Drawing, name: str, window: tuple[int, int], **others: Any) -> str:
+    height, width = window
+    pads = [height // 2, width // 2, height // 2, width // 2]
+    return drawing.node("AveragePool", name, **{
+        "kernel_shape": window, "pads": pads, "strides": [1, 1], "count_include_pad": 0, **others})
+
+
+@pytest.mark.parametrize(("window", "others"), [
+    ((1, 4), {"pads": [0, 2, 0, 1]}), ((3, 3), {}), ((1, 3), {"count_include_pad": 1}),
+    ((1, 3), {"strides": [1, 2]}), ((3, 1), {"pads": [0, 0, 0, 0]})])
+def test_other_means_stay_as_they_are(window: tuple[int, int], others: dict[str, Any]) -> None:
+    drawing = Drawing()
+    picture = drawing.picture("picture", 3, 12, 10)
+    model = drawing.model(averaged(drawing, picture, window, **others),
+                          drawing.convolved(picture, 3, 2))
+    own = onnx.load_from_string(with_own_convolutions(model))
+    assert [node.op_type for node in own.graph.node] == ["AveragePool", "Convolve3x3"]
+
+
 def with_a_joined_picture_that_others_read(drawing: Drawing) -> list[str]:
     joined = drawing.node("Concat", drawing.picture("a", 2, 6, 8), drawing.picture("b", 3, 6, 8),
                           axis=1)
