@@ -13,6 +13,8 @@ from postfx.passes.denoise import default_network
 from postfx.passes.denoise.default_network import (
     ENLARGING_PIXEL_BYTES,
     GPU_PIXEL_BYTES,
+    PIXEL_BYTES,
+    PLAIN_PIXEL_BYTES,
     lacks_memory,
     usual_network,
 )
@@ -161,6 +163,16 @@ def test_a_gpu_takes_it_where_its_free_memory_is_enough(scale):
     assert usual_network(size, scale, on_a_gpu(None)) == "m"
     assert lacks_memory(size, scale, on_a_gpu(1 << 30)).startswith(
         f"frames of 1920x1080 take {enough >> 30} GB, this GPU has 1 GB free: m runs; ")
+
+
+@pytest.mark.parametrize(("operators", "each"), [("a file", PIXEL_BYTES), (None, PLAIN_PIXEL_BYTES)])
+def test_a_cpu_takes_it_where_its_memory_is_enough(operators, each, monkeypatch):
+    """Without our convolutions it needs more."""
+    size, device = (1920, 1080), postfx.Device("cpu")
+    monkeypatch.setattr(default_network, "operators_library", lambda: operators)
+    for there, network in ((each * 1920 * 1080, "xl"), (each * 1920 * 1080 - 1, "m")):
+        monkeypatch.setattr(default_network, "usable_memory", lambda there=there: there)
+        assert usual_network(size, 1, device) == network
 
 
 def test_larger_frames_with_guides_take_the_network_that_reads_them():
