@@ -165,7 +165,8 @@ def test_a_gpu_takes_it_where_its_free_memory_is_enough(scale):
         f"frames of 1920x1080 take {enough >> 30} GB, this GPU has 1 GB free: m runs; ")
 
 
-@pytest.mark.parametrize(("operators", "each"), [("a file", PIXEL_BYTES), (None, PLAIN_PIXEL_BYTES)])
+@pytest.mark.parametrize(("operators", "each"), [
+    ("a file", PIXEL_BYTES), (None, PLAIN_PIXEL_BYTES)])
 def test_a_cpu_takes_it_where_its_memory_is_enough(operators, each, monkeypatch):
     """Without our convolutions it needs more."""
     size, device = (1920, 1080), postfx.Device("cpu")
