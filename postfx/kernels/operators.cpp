@@ -149,6 +149,8 @@ static Failure* create_convolution(const Operator* of, Functions, const NodeInfo
     TRY(find_constants(node, constants, &count));
     Layer layer{};
     for (const Constant* one = constants; one < constants + count; one++) {
+        if (one > constants && one->sizes[0] != layer.results)
+            return ask(CREATE_FAILURE, FAILED, "convolutions of other numbers of channels");
         layer.results = one->sizes[0];
         if (one->is_weights()) layer.channels += one->sizes[1];
     }

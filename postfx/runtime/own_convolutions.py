@@ -130,11 +130,12 @@ class _Plan:
             if _is_convolution(node) and all(map(self._is_weight, node.inputs[1:])):
                 sums[node.outputs[0]] = _Sum([node], node.outputs[0])
             elif _is_plain(node, "Add") and all(self._is_inner(name, sums) for name in node.inputs):
-                first, second = (sums[name].convolutions for name in node.inputs)
-                if len(first) + len(second) <= MOST_ADDED:
+                added = [one for name in node.inputs for one in sums[name].convolutions]
+                counts = {self._count_results(one) for one in added}
+                if len(added) <= MOST_ADDED and len(counts) == 1 and counts != {None}:
                     for name in node.inputs:
                         del sums[name]
-                    sums[node.outputs[0]] = _Sum([*first, *second], node.outputs[0])
+                    sums[node.outputs[0]] = _Sum(added, node.outputs[0])
         for name in list(sums):
             behind = self._readers.get(name, [])
             if self._is_inner(name, sums) and _is_plain(behind[0], "Relu"):
@@ -155,6 +156,16 @@ class _Plan:
         if maker.operator == "Cast":
             return maker.integers.get("to") == (FLOAT,) and maker.inputs[0] not in self._makers
         return maker.operator in MOVES and self._is_weight(maker.inputs[0])
+
+    def _count_results(self, convolution: Node) -> int | None:
+        """How many channels a convolution makes; None if its weights do not tell."""
+        name = convolution.inputs[1]
+        while maker := self._makers.get(name):
+            keeps = maker.operator != "Reshape" and maker.integers.get("axis", (0,)) != (0,)
+            if not (keeps or maker.operator in ("Cast", "Identity")):
+                return None
+            name = maker.inputs[0]
+        return self._weights[name].dims[0]
 
     def _joined(self, one: _Sum) -> Node:
         """Our node for a sum."""

@@ -227,6 +227,12 @@ def with_a_sum_that_others_read(drawing: Drawing) -> list[str]:
             drawing.node("Relu", first)]
 
 
+def with_sums_of_other_numbers_of_channels(drawing: Drawing) -> list[str]:
+    three, one = (drawing.convolved(drawing.picture(name, 2, 6, 8), 2, count)
+                  for name, count in (("a", 3), ("b", 1)))
+    return [drawing.node("Add", three, one)]
+
+
 def with_pictures_joined_along_rows(drawing: Drawing) -> list[str]:
     joined = drawing.node("Concat", drawing.picture("a", 2, 6, 8), drawing.picture("b", 2, 6, 8),
                           axis=2)
@@ -249,6 +255,7 @@ def with_more_pictures_than_one_reads(drawing: Drawing) -> list[str]:
 @pytest.mark.parametrize("draw", [
     with_a_joined_picture_that_others_read, with_an_enlarged_picture_alone,
     with_a_picture_of_a_third, with_a_sum_that_others_read, with_pictures_joined_along_rows,
+    with_sums_of_other_numbers_of_channels,
     with_more_convolutions_than_one_adds, with_more_pictures_than_one_reads])
 def test_results_stay_where_less_can_be_joined(draw: Callable[[Drawing], list[str]]) -> None:
     drawing = Drawing()
