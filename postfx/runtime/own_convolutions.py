@@ -161,8 +161,8 @@ class _Plan:
         """How many channels a convolution makes; None if its weights do not tell."""
         name = convolution.inputs[1]
         while maker := self._makers.get(name):
-            keeps = maker.operator != "Reshape" and maker.integers.get("axis", (0,)) != (0,)
-            if not (keeps or maker.operator in ("Cast", "Identity")):
+            is_part = maker.operator == "Split" and maker.integers.get("axis") == (1,)
+            if not is_part and maker.operator not in ("Cast", "Identity"):
                 return None
             name = maker.inputs[0]
         return self._weights[name].dims[0]
