@@ -241,7 +241,8 @@ private:
                      columns[5][y], four);
                 for (int x = 0; x < TILE; x++) {
                     four[x] += add;
-                    if (is_rectified) four[x] = larger(four[x], Wide(0.0f));
+                    // in this order NaN stays
+                    if (is_rectified) four[x] = larger(Wide(0.0f), four[x]);
                 }
                 float* row = to + y * layer.width + TILE * t;
                 const Long count = layer.width - left - TILE * t;

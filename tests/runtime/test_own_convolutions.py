@@ -275,6 +275,17 @@ def test_levels_with_fused_products_give_the_same_bits() -> None:
         np.testing.assert_array_equal(first, other)
 
 
+@pytest.mark.parametrize("relu", [False, True])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_results_that_are_not_finite_are_none_of_ours_either(bad: float, relu: bool) -> None:
+    """All results of a tile may be NaN then."""
+    model, image = network(4, 7, relu=relu), picture(4, 19, 23)
+    image[0, 2, 9, 11] = bad
+    wanted, found = (run(one, image) for one in (model, with_own_convolutions(model)))
+    lost = ~np.isfinite(wanted)
+    assert lost.any() and not np.isfinite(found[lost]).any()
+
+
 def test_threads_give_the_same_bits() -> None:
     own, image = with_own_convolutions(network(33, 25)), picture(33, 37, 130)
     one, *others = (run(own, image, threads=threads) for threads in (1, 2, 3))
