@@ -1,13 +1,14 @@
 // Operators that ONNX Runtime calls while it runs a network on a CPU: convolutions of 3x3 pixels by
-// tiles, and means of windows. Its interface is a table of C functions that only grows. What is used of it is declared
-// here, with the places in the table that onnxruntime_c_api.h gives.
+// tiles, and means of windows. Its interface is a table of C functions that only grows. What is
+// used of it is declared here, with the places in the table that onnxruntime_c_api.h gives.
 //
-//     Convolve3x3(weights (K, C, 3, 3) ..., biases (K) ..., pictures (1, C, h, w) ...) -> (1, K, h, w)
+//     Convolve3x3(weights (K, C, 3, 3) ..., biases (K) ..., pictures (1, C, h, w) ...)
+//         -> (1, K, h, w)
 //     Convolve3x3Relu: the same, and results below 0 become 0
 //
-// The channels of all weights, one behind the other, are those of all pictures. So the sum of several
-// convolutions is one, and so is that of pictures that would be joined. Biases are added. A picture
-// but the last one may have half the size, and is enlarged: each pixel becomes four.
+// The channels of all weights, one behind the other, are those of all pictures. So several
+// convolutions whose results are added are one, and pictures need not be joined before. Biases are
+// added. Each picture but the last one may have half the size: each of its pixels becomes four.
 //
 //     WindowMean(picture (1, C, h, w), axis = 2 or 3, size) -> (1, C, h, w)
 //
@@ -27,12 +28,15 @@ typedef void* const* Functions;
 constexpr unsigned VERSION = 17;  // of the interface
 constexpr int FLOAT = 1, FAILED = 1, REQUIRED = 0, OPTIONAL = 1;
 constexpr Long MOST_PARTS = 32;  // of a picture, so that memory is asked for seldom
-constexpr Size AXES = 4, MOST_PICTURES = 4, INPUTS = 10;
+constexpr Size AXES = 4;
+constexpr Size MOST_PICTURES = 4;           // of a convolution
+constexpr Size INPUTS = 6 + MOST_PICTURES;  // with three weights and biases
 enum Place {
     CREATE_FAILURE = 0, CREATE_DOMAIN = 26, ADD_TO_DOMAIN = 27, ADD_DOMAIN = 28, DATA = 51,
     CREATE_SHAPE = 57, SET_TYPE = 58, SET_SIZES = 59, AXIS_COUNT = 61, SIZES = 62, SHAPE = 65,
-    INTEGER_ATTRIBUTE = 86, INPUT_COUNT = 88, INPUT = 90, OUTPUT = 91, RELEASE_SHAPE = 99, CONSTANT_INPUT = 249,
-    INPUT_SHAPE_COUNT = 267, INPUT_SHAPE = 268, OUTPUT_SHAPE = 270, PARALLEL = 274,
+    INTEGER_ATTRIBUTE = 86, INPUT_COUNT = 88, INPUT = 90, OUTPUT = 91, RELEASE_SHAPE = 99,
+    CONSTANT_INPUT = 249, INPUT_SHAPE_COUNT = 267, INPUT_SHAPE = 268, OUTPUT_SHAPE = 270,
+    PARALLEL = 274,
 };
 
 static Functions the_functions;
@@ -40,7 +44,7 @@ template <class R = Failure*, class... A> FN R ask(Place place, A... arguments) 
     return ((R (*)(A...))the_functions[place])(arguments...);
 }
 FN Failure* no_memory() {
-    return ask(CREATE_FAILURE, FAILED, "no memory for a convolution");
+    return ask(CREATE_FAILURE, FAILED, "no memory for an operator");
 }
 #define TRY(asked) \
     if (Failure* failed = asked) return failed
@@ -206,8 +210,9 @@ static Failure* find_pictures(const NodeCall* call, Size first, Work* work) {
             work->layer.height = sizes[2];
             work->layer.width = sizes[3];
         }
-        const bool is_half = 2 * sizes[2] == work->layer.height && 2 * sizes[3] == work->layer.width;
-        if (!is_half && (sizes[2] != work->layer.height || sizes[3] != work->layer.width))
+        const Long height = work->layer.height, width = work->layer.width;
+        const bool is_half = 2 * sizes[2] == height && 2 * sizes[3] == width;
+        if (!is_half && (sizes[2] != height || sizes[3] != width))
             return ask(CREATE_FAILURE, FAILED, "a convolution of pictures of other sizes");
         work->pictures[i - first] = {numbers, sizes[1], is_half};
         channels += sizes[1];

@@ -55,8 +55,7 @@ FN void back(Wide a, Wide b, Wide c, Wide d, Wide e, Wide f, Wide* to) {
     to[3] = less + 8.0f * far_less + f;
 }
 
-// A picture whose channels a layer reads. One of half the size is read as if each of its pixels were
-// four.
+// A picture whose channels a layer reads. Each pixel of one that has half the size is read as four.
 struct Source {
     const float* at;
     Long channels;

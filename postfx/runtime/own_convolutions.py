@@ -228,15 +228,18 @@ class _Plan:
 
 def _is_cast_to_others(node: Node) -> bool:
     """Whether a network has numbers of floating point that are not float32."""
-    return _is_plain(node, "Cast") and node.integers["to"][0] in OTHER_FLOATS
+    return _is_plain(node, "Cast") and not OTHER_FLOATS.isdisjoint(node.integers.get("to", ()))
 
 
 def _is_mean(node: Node) -> bool:
     """Whether a node takes means of windows of an odd number of pixels, along rows or columns, of
     those that are in the picture."""
-    height, width = node.integers.get("kernel_shape", (0, 0))
+    sides = node.integers.get("kernel_shape", ())
+    if not _is_plain(node, "AveragePool") or len(sides) != 2:
+        return False
+    height, width = sides
     across, down = width // 2, height // 2
-    return (_is_plain(node, "AveragePool") and height % 2 == width % 2 == 1 == min(height, width)
+    return (height % 2 == width % 2 == 1 == min(height, width)
             and node.integers.get("pads") == (down, across, down, across)
             and node.integers.get("strides", (1, 1)) == (1, 1)
             and node.integers.get("dilations", (1, 1)) == (1, 1)

@@ -53,14 +53,21 @@ def network(channels: int, results: int, bias: bool = True, relu: bool = False,
 
 
 def run(model: bytes, image: np.ndarray, level: str | None = None, threads: int = 2) -> np.ndarray:
-    """The output of a network, by our operators for a level of the processor."""
+    """The output of a network that reads one image."""
+    (found,) = run_all(model, {"image": image}, level, threads)
+    return found
+
+
+def run_all(model: bytes, inputs: dict[str, np.ndarray], level: str | None = None,
+            threads: int = 2) -> list[np.ndarray]:
+    """The outputs of a network, by our operators for a level of the processor."""
     options = ort.SessionOptions()
     options.intra_op_num_threads = threads
     if has_own_convolutions(model):
         library = open_library(REGISTER, None, level)._name if level else operators_library()
         options.register_custom_ops_library(str(library))
     session = ort.InferenceSession(model, options, providers=["CPUExecutionProvider"])
-    found: np.ndarray = session.run(["out"], {"image": image})[0]
+    found: list[np.ndarray] = session.run(None, inputs)
     return found
 
 
@@ -161,15 +168,6 @@ def test_one_convolution_joins_enlarges_and_adds(
     np.testing.assert_allclose(found, wanted, atol=2e-5 * max(np.abs(wanted).max(), 1))
 
 
-def run_all(model: bytes, inputs: dict[str, np.ndarray]) -> list[np.ndarray]:
-    options = ort.SessionOptions()
-    if has_own_convolutions(model):
-        options.register_custom_ops_library(str(operators_library()))
-    session = ort.InferenceSession(model, options, providers=["CPUExecutionProvider"])
-    found: list[np.ndarray] = session.run(None, inputs)
-    return found
-
-
 @pytest.mark.parametrize("size", [(1, 1), (3, 5), (2, 40), (40, 2), (37, 130)])
 @pytest.mark.parametrize("window", [(1, 3), (3, 1), (1, 15), (15, 1)])
 def test_means_of_windows_are_those_of_the_network(size: tuple[int, int],
@@ -201,6 +199,16 @@ def test_other_means_stay_as_they_are(window: tuple[int, int], others: dict[str,
     picture = drawing.picture("picture", 3, 12, 10)
     model = drawing.model(averaged(drawing, picture, window, **others),
                           drawing.convolved(picture, 3, 2))
+    own = onnx.load_from_string(with_own_convolutions(model))
+    assert [node.op_type for node in own.graph.node] == ["AveragePool", "Convolve3x3"]
+
+
+def test_means_along_one_axis_alone_stay_as_they_are() -> None:
+    """Those of a signal, which has no columns."""
+    drawing = Drawing()
+    drawing.inputs["signal"] = drawing.random.normal(size=(1, 3, 20)).astype("f4")
+    mean = drawing.node("AveragePool", "signal", kernel_shape=[3], pads=[1, 1])
+    model = drawing.model(mean, drawing.convolved(drawing.picture("picture", 3, 6, 8), 3, 2))
     own = onnx.load_from_string(with_own_convolutions(model))
     assert [node.op_type for node in own.graph.node] == ["AveragePool", "Convolve3x3"]
 
@@ -273,6 +281,18 @@ def test_levels_with_fused_products_give_the_same_bits() -> None:
     first, *others = (run(own, image, level) for level in levels() if level != "baseline")
     for other in others:
         np.testing.assert_array_equal(first, other)
+
+
+def test_levels_with_fused_products_join_and_add_the_same_bits() -> None:
+    drawing = Drawing()
+    sums = of_added_convolutions(drawing, 19, 65)
+    mean = averaged(drawing, "one", (1, 15))
+    own = with_own_convolutions(drawing.model(sums, mean))
+    first, *others = (run_all(own, drawing.inputs, level) for level in levels()
+                      if level != "baseline")
+    for other in others:
+        for wanted, found in zip(first, other, strict=True):
+            np.testing.assert_array_equal(wanted, found)
 
 
 @pytest.mark.parametrize("relu", [False, True])
