@@ -29,17 +29,27 @@ class Workers(ThreadPoolExecutor):
             if self._is_over:
                 raise
         future: Future[Any] = Future()
-        fulfil = partial(_fulfil, future, partial(fn, *args, **kwargs))  # nobody joins its thread
-        try:
-            threading.Thread(target=fulfil, daemon=False).start()
-        except RuntimeError:  # from Python 3.12 on, exit functions can start no thread
-            fulfil()
+        begun = threading.Event()
+        fulfil = partial(_fulfil, future, partial(fn, *args, **kwargs), begun)
+        with finished_before_the_end():  # nobody joins the thread: it begins its own work meanwhile
+            try:
+                threading.Thread(target=fulfil, daemon=False).start()
+            except RuntimeError:  # from Python 3.12 on, exit functions can start no thread
+                fulfil()
+            begun.wait()
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End the pool: it takes no more work."""
         self._is_over = True
         super().shutdown(wait, cancel_futures=cancel_futures)
+
+
+class Server(threading.Thread):
+    """A daemon thread that the library itself ends, when all that it serves is done."""
+
+    def __init__(self, target: Callable[..., Any], args: tuple[Any, ...], name: str) -> None:
+        super().__init__(target=target, args=args, name=name, daemon=True)
 
 
 class _UnderWay:
@@ -58,10 +68,11 @@ class _UnderWay:
 
     def begin(self) -> None:
         """This thread begins such work. Once the program ends, a daemon thread that is at none
-        stays here for good."""
+        stays here for good, unless it is a server."""
         thread = threading.current_thread()
+        is_stopped = thread.daemon and not isinstance(thread, Server)
         with self._changed:
-            if self._is_ending and thread.daemon and thread.ident not in self._threads:
+            if self._is_ending and is_stopped and thread.ident not in self._threads:
                 self._changed.wait_for(lambda: False)
             self._threads[threading.get_ident()] += 1
 
@@ -101,7 +112,8 @@ def end_work() -> None:
 
 
 @finished_before_the_end()
-def _fulfil(future: Future[Any], task: Callable[[], Any]) -> None:
+def _fulfil(future: Future[Any], task: Callable[[], Any], begun: threading.Event) -> None:
+    begun.set()
     if not future.set_running_or_notify_cancel():
         return
     try:

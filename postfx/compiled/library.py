@@ -8,8 +8,10 @@ compiled likewise from the header that it brings, into the user's cache.
 
 from __future__ import annotations
 
+import atexit
 import ctypes
 import os
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -27,6 +29,8 @@ from postfx.workers import Workers
 
 FOLDER = "native"
 """In the user's cache: libraries of plug-ins, and ours where the package cannot be written to."""
+SLEEP = "sleep_unless_main"
+"""The function of threads.cpp that C++ calls in place of an abort while the program ends."""
 
 
 class Rows:
@@ -183,6 +187,20 @@ def open_library(name: str, header: Path | None = None, level: str | None = None
         raise _no_kernel(build.KERNELS, name)
     path = _whole_library(level) or _find_or_build([part.unit], level, own=True, flags=part.flags)
     return ctypes.CDLL(str(path))
+
+
+@atexit.register
+def _let_stopped_threads_sleep() -> None:
+    """Before 3.14 Python unwinds a daemon thread where it next asks for the interpreter's lock. In
+    a destructor of C++ (NumPy's quantiles and OpenImageIO have such) that would abort the
+    process."""
+    is_needed = sys.platform == "linux" and sys.version_info < (3, 14)
+    if not (is_needed and open_library.cache_info().currsize and _is_compiled(SLEEP, None)):
+        return
+    with suppress(OSError):  # no other library in C++ is loaded
+        others = ctypes.CDLL("libstdc++.so.6", os.RTLD_NOLOAD)
+        set_terminate = others._ZSt13set_terminatePFvvE
+        set_terminate(ctypes.cast(open_library(SLEEP)[SLEEP], ctypes.c_void_p))
 
 
 def library_of(name: str) -> Path:

@@ -29,7 +29,7 @@ import numpy as np
 from postfx.compiled.calls import BoundRows
 from postfx.compiled.library import find_function
 from postfx.errors import CommandError, CommandTimeout
-from postfx.workers import Workers, end_work
+from postfx.workers import Server, Workers, end_work
 
 SPIN_SECONDS = 100e-6
 """Seconds that a thread spins before it sleeps: more than the gap between two kernels."""
@@ -63,7 +63,7 @@ class CommandQueue:
     def __init__(self, name: str) -> None:
         self._work: Work = queue.SimpleQueue()
         self._apart: list[Future[None]] = []
-        self._thread = threading.Thread(target=_serve, args=(self._work,), name=name, daemon=True)
+        self._thread = Server(target=_serve, args=(self._work,), name=name)
         self._thread.start()
         weakref.finalize(self, self._work.put, None).atexit = False
         _threads[self._thread] = self._work
