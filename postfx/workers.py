@@ -31,9 +31,9 @@ class Workers(ThreadPoolExecutor):
         future: Future[Any] = Future()
         begun = threading.Event()
         fulfil = partial(_fulfil, future, partial(fn, *args, **kwargs), begun)
-        with finished_before_the_end():  # nobody joins the thread: it begins its own work meanwhile
+        with finished_before_the_end():  # until the thread has begun its own work
             try:
-                threading.Thread(target=fulfil, daemon=False).start()
+                Server(target=fulfil).start()
             except RuntimeError:  # from Python 3.12 on, exit functions can start no thread
                 fulfil()
             begun.wait()
@@ -46,9 +46,11 @@ class Workers(ThreadPoolExecutor):
 
 
 class Server(threading.Thread):
-    """A daemon thread that the library itself ends, when all that it serves is done."""
+    """A thread that works for others while the program ends, which waits for its work by
+    `end_work`. Python itself does not: it would wait for as long as other threads begin some."""
 
-    def __init__(self, target: Callable[..., Any], args: tuple[Any, ...], name: str) -> None:
+    def __init__(self, target: Callable[..., Any], args: tuple[Any, ...] = (),
+                 name: str | None = None) -> None:
         super().__init__(target=target, args=args, name=name, daemon=True)
 
 

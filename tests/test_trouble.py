@@ -258,6 +258,27 @@ def test_threads_begun_while_the_process_ends_are_waited_for():
     assert found.stdout == "done\nended\n", found.stderr
 
 
+SUBMITS = """
+import atexit, threading, time
+from postfx.workers import Workers
+pool = Workers(1)
+def run():
+    while True:
+        pool.submit(time.sleep, 0.05).result()
+for _ in range(8):
+    threading.Thread(target=run, daemon=True).start()
+begin = time.monotonic()
+atexit.register(lambda: print(time.monotonic() - begin))
+"""
+
+
+def test_a_process_does_not_wait_for_work_that_begins_all_the_time():
+    found = subprocess.run([sys.executable, "-c", SUBMITS], capture_output=True, text=True,
+                           timeout=30)
+    assert found.returncode == 0, found.stderr
+    assert float(found.stdout) < 5  # half a minute was not enough
+
+
 LATER = """
 import atexit
 import numpy as np
