@@ -360,8 +360,8 @@ def run_on_ray(arguments: argparse.Namespace) -> int:
     a chunk failed.
     """
     from postfx.cli.interruptions import EXIT_FAULTS
-    from postfx.cli.job import NOWHERE
     from postfx.cli.main import make_parser
+    from postfx.cli.run_setup import NOWHERE
     from postfx.errors import WriteError
 
     if not arguments.output:

@@ -7,7 +7,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from postfx.cli.job import announce_run_up
+from postfx.cli.frame_loop import announce_run_up
 from postfx.errors import Interrupted
 from postfx.io.sequence import Sequence
 from postfx.temporal.reverse_order import RunUp

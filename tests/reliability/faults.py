@@ -32,12 +32,11 @@ from postfx.runtime import Device, Library
 from tests.fuzz.bombs import BOMBS
 from tests.fuzz.mutate import KINDS
 from tests.reliability.conftest import FRAMES, QUICK, write_frame
-from tests.reliability.faulty import DAMAGE, Fault, Faulty
+from tests.reliability.faulty import DAMAGE, WRITE, Fault, Faulty
 from tests.reliability.model_files import model_of, outside
 
 ROOT = Path(__file__).resolve().parents[2]
 READ = "postfx.io.sequence.Sequence.read"
-WRITE = "postfx.cli.job.write_frame"
 ENCODE = "postfx.io.writer.write_exr"
 PREVIEW = "postfx.cli.job.Job.preview"
 MANIFEST = "postfx.runs.manifest.write_atomically"

@@ -30,6 +30,8 @@ from postfx.errors import ReadError
 
 Fault = Mapping[str, Any]
 """What happens where, see above."""
+WRITE = "postfx.cli.run_setup.write_frame"
+"""Where a run writes a frame."""
 
 
 def make_folder(path: Path) -> None:

@@ -27,8 +27,9 @@ from postfx.runs.locks import (
     is_alive,
 )
 from postfx.runs.manifest import MANIFEST_NAME, Output, load_manifest, update_manifest
+from tests.reliability.faulty import WRITE
 
-SLOW = {"at": "postfx.cli.job.write_frame", "do": "sleep", "seconds": 0.5}
+SLOW = {"at": WRITE, "do": "sleep", "seconds": 0.5}
 
 
 def dead() -> Process:
@@ -63,7 +64,7 @@ def test_two_runs_of_different_frames(runs, unbroken):
 
 
 def test_run_after_a_killed_one_takes_over(runs, unbroken):
-    runs.killed("postfx.cli.job.write_frame", 3)
+    runs.killed(WRITE, 3)
     assert list((runs.folder / ".postfx").glob("*.claim"))
     assert runs("--skip-existing")[0] == 0 and runs.files() == unbroken
 

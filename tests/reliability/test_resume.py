@@ -10,17 +10,18 @@ import pytest
 
 from postfx.runs.manifest import MANIFEST_NAME
 from tests.reliability.conftest import FRAMES, Runs, write_frame
+from tests.reliability.faulty import WRITE
 
 RESUME = ("--skip-existing",)
 DENOISE = ("--model", "s", "--threads", "1")
 
 PLACES = {
-    "before the first frame": ("postfx.cli.job.Job._process_all", 1, "before"),
+    "before the first frame": ("postfx.cli.frame_loop.FrameLoop.process_all", 1, "before"),
     "while a frame is processed": ("postfx.flow.Flow._run", 4, "before"),
-    "before a frame is written": ("postfx.cli.job.write_frame", 4, "before"),
+    "before a frame is written": (WRITE, 4, "before"),
     "between writing a frame and naming it": ("postfx.io.writer.write_exr", 4, "after"),
     "between naming a frame and entering it into the manifest": (
-        "postfx.cli.job.write_frame", 4, "after"),
+        WRITE, 4, "after"),
     "while the manifest is written": ("postfx.runs.manifest.write_atomically", 2, "before"),
     "after the manifest was written": ("postfx.runs.folder.update_manifest", 2, "after"),
     "between writing a checkpoint and naming it": ("os.replace", 3, "before", ".checkpoint"),
@@ -45,7 +46,7 @@ def test_killed_and_resumed(runs, unbroken, place):
 def test_killed_and_resumed_with_the_denoiser(runs, seconds):
     whole = Runs(runs.shot, runs.folder.parent / "whole", runs._capsys)
     assert whole(passes=DENOISE)[0] == 0
-    runs.killed("postfx.cli.job.write_frame", 6, passes=DENOISE, more=("--checkpoint", seconds))
+    runs.killed(WRITE, 6, passes=DENOISE, more=("--checkpoint", seconds))
     assert runs(*RESUME, passes=DENOISE)[0] == 0
     assert runs.files() == whole.files()
     assert len(runs.events("recall")) == (seconds == "0")
@@ -63,7 +64,7 @@ def test_killed_and_resumed_across_changing_sizes(tmp_path, capsys, seconds, siz
     shot, passes = str(tmp_path / "in.####.exr"), (*DENOISE, "--size", "72x48")
     whole, runs = Runs(shot, tmp_path / "whole", capsys), Runs(shot, tmp_path / "out", capsys)
     assert whole(passes=passes)[0] == 0
-    runs.killed("postfx.cli.job.write_frame", 6, passes=passes, more=("--checkpoint", seconds))
+    runs.killed(WRITE, 6, passes=passes, more=("--checkpoint", seconds))
     assert runs(*RESUME, passes=passes)[0] == 0
     assert runs.files() == whole.files()
     assert len(runs.events("recall")) == (seconds == "0")
@@ -71,13 +72,13 @@ def test_killed_and_resumed_across_changing_sizes(tmp_path, capsys, seconds, siz
 
 def test_killed_again_and_again(runs, unbroken):
     for call in (2, 1, 3, 2):
-        runs.killed("postfx.cli.job.write_frame", call, more=("--checkpoint", "0", *RESUME))
+        runs.killed(WRITE, call, more=("--checkpoint", "0", *RESUME))
     assert runs(*RESUME)[0] == 0
     assert runs.files() == unbroken
 
 
 def test_resuming_runs_no_frame_again_after_a_checkpoint(runs, unbroken):
-    runs.killed("postfx.cli.job.write_frame", 6, more=("--checkpoint", "0"))
+    runs.killed(WRITE, 6, more=("--checkpoint", "0"))
     read = len(runs.files())
     assert runs(*RESUME)[0] == 0
     assert [item["frame"] for item in runs.events("recall")] == [read]
@@ -85,7 +86,7 @@ def test_resuming_runs_no_frame_again_after_a_checkpoint(runs, unbroken):
 
 
 def test_damaged_checkpoint(runs, unbroken):
-    runs.killed("postfx.cli.job.write_frame", 6, more=("--checkpoint", "0"))
+    runs.killed(WRITE, 6, more=("--checkpoint", "0"))
     (checkpoint,) = (runs.folder / ".postfx").glob("*.checkpoint")
     content = bytearray(checkpoint.read_bytes())
     content[len(content) // 2] ^= 1
@@ -96,7 +97,7 @@ def test_damaged_checkpoint(runs, unbroken):
 
 
 def test_truncated_checkpoint(runs, unbroken):
-    runs.killed("postfx.cli.job.write_frame", 6, more=("--checkpoint", "0"))
+    runs.killed(WRITE, 6, more=("--checkpoint", "0"))
     (checkpoint,) = (runs.folder / ".postfx").glob("*.checkpoint")
     checkpoint.write_bytes(checkpoint.read_bytes()[:-100])
     assert runs(*RESUME)[0] == 0
@@ -104,7 +105,7 @@ def test_truncated_checkpoint(runs, unbroken):
 
 
 def test_checkpoint_of_other_settings_is_not_used(runs):
-    runs.killed("postfx.cli.job.write_frame", 6,
+    runs.killed(WRITE, 6,
                 more=("--checkpoint", "0", "--exposure", "auto", "--cuts", "none"))
     code, said = runs(*RESUME)
     assert code == 0 and not runs.events("recall")
@@ -185,7 +186,7 @@ def test_damaged_file_is_made_anew(runs, unbroken, how):
 def test_old_files_of_a_run_that_was_killed_while_overwriting(runs, unbroken):
     assert runs("--exposure", "3")[0] == 0  # whole files, of other settings
     old = runs.files()
-    runs.killed("postfx.cli.job.write_frame", 4, more=("--overwrite",))
+    runs.killed(WRITE, 4, more=("--overwrite",))
     assert runs.files()["out.0008.exr"] == old["out.0008.exr"]
     assert runs(*RESUME)[0] == 0
     assert runs.files() == unbroken

@@ -13,6 +13,7 @@ from postfx import __version__
 from postfx.cli.main import main
 from postfx.errors import ManifestError
 from postfx.runs.manifest import MANIFEST_NAME, MANIFEST_VERSION, Manifest
+from tests.reliability.faulty import WRITE
 
 READ = "postfx.io.sequence.Sequence.read"
 
@@ -44,14 +45,14 @@ def test_verify_in_words(runs, capsys):
 
 
 def test_verify_tells_a_killed_run(runs):
-    runs.killed("postfx.cli.job.write_frame", 3)
+    runs.killed(WRITE, 3)
     code, found = runs.verify()
     assert (code == 1 and list(found["runs"].values()) == ["killed"]
             and len(found["unfinished"]) >= 6)
 
 
 def test_verify_tells_a_run_that_runs(runs):
-    process = runs.start([{"at": "postfx.cli.job.write_frame", "do": "sleep", "seconds": 0.3}])
+    process = runs.start([{"at": WRITE, "do": "sleep", "seconds": 0.3}])
     runs.wait_for("frame", 2)
     assert list(runs.verify()[1]["runs"].values()) == ["running"]
     assert process.wait(60) == 0
@@ -208,7 +209,7 @@ def test_read_that_keeps_failing(runs, unbroken):
 
 def test_a_slow_disk_changes_no_file(runs, unbroken):
     slow = [{"at": at, "do": "sleep", "seconds": 0.05}
-            for at in (READ, "postfx.cli.job.write_frame")]
+            for at in (READ, WRITE)]
     assert runs.fail(*slow)[0] == 0
     assert runs.files() == unbroken
 

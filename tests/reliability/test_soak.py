@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from tests.reliability.conftest import Runs, write_frame
+from tests.reliability.faulty import WRITE
 
 PASSES = ("--model", "s", "--scale", "1.5", "--tonemap", "--threads", "1")
 READ = "postfx.io.sequence.Sequence.read"
-WRITE = "postfx.cli.job.write_frame"
 NETWORK = "postfx.flow.Flow._run"
 PLACES = (WRITE, NETWORK, "postfx.io.writer.write_exr")
 RARE = ("postfx.runs.folder.save_checkpoint", "postfx.runs.manifest.write_atomically")
