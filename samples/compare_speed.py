@@ -26,6 +26,8 @@ import numpy as np
 import postfx
 from postfx.frame import ROLES
 from postfx.oidn import OpenImageDenoise
+from postfx.passes import Pass
+from postfx.passes.registry import create
 from postfx.runtime import Device
 from postfx.system import usable_cores
 
@@ -99,6 +101,15 @@ def oidn_planes(frame: postfx.Frame, scale: int) -> list[np.ndarray]:
             for role in (postfx.Role.COLOUR, postfx.Role.DIFFUSE_ALBEDO, postfx.Role.NORMAL)]
 
 
+def denoising_passes(tag: str, scale: int, partner: str) -> list[Pass]:
+    """The passes of `postfx run --model TAG`, with `--with` if a partner is named."""
+    denoiser = postfx.DenoiseUpscale(scale=scale, model=tag)
+    if not partner:
+        return [denoiser]
+    return [create("partner", of=partner), denoiser,
+            create("mix_partner", scale=scale, model=tag)]
+
+
 def timed(chain: postfx.Pipeline, frame: postfx.Frame) -> float:
     """Milliseconds of a call on the CPU, of its commands on a GPU."""
     began = time.perf_counter()
@@ -119,7 +130,8 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--scale", type=int, default=2, choices=(1, 2),
                         help="of postfx's output (default: 2)")
-    parser.add_argument("--models", default="m.fp32,m,s", help="tags of networks, comma-separated")
+    parser.add_argument("--models", default="m.fp32,m,s",
+                        help="tags of networks, comma-separated; xl+oidn runs OIDN beside xl")
     parser.add_argument("--centred", action="store_true", help="frames without jitter")
     parser.add_argument("--device", default="cpu", help="cpu (default) or cuda")
     parser.add_argument("--quality", default="high",
@@ -128,9 +140,10 @@ def main() -> None:
     frames = noisy_frames(args.width, args.height, args.centred)
     device = Device(args.device)
     chains = {}
-    for tag in args.models.split(","):
-        passes = [postfx.DenoiseUpscale(scale=args.scale, model=tag), postfx.ToneMap()]
-        chains[f"postfx {tag}"] = postfx.Pipeline(passes, device)
+    for name in args.models.split(","):
+        tag, _, partner = name.partition("+")
+        passes = denoising_passes(tag, args.scale, partner)
+        chains[f"postfx {name}"] = postfx.Pipeline([*passes, postfx.ToneMap()], device)
     for frame in 2 * frames:
         for chain in chains.values():
             timed(chain, frame)

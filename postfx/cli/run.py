@@ -43,7 +43,7 @@ examples:
 PSNR in dB to the best of Open Image Denoise for the same rays, at 4, 16 and 64 samples a pixel:
   postfx run, the render's size                    +0.91, +0.86, +0.50
   postfx run --with oidn                           +0.93, +0.92, +0.67
-  postfx run --model m, a fifth of the time        -1.04, -0.98, -1.15
+  postfx run --model m, a third of the time        -1.04, -0.98, -1.15
   postfx run --scale 2, half size, 4x the samples  -1.80, -3.84: if it cannot be rendered larger
 
 A video of the pictures: ffmpeg -framerate 24 -i out/picture.%04d.png -pix_fmt yuv420p shot.mp4
