@@ -57,8 +57,8 @@ def postfx(*words):
     return told.getvalue()
 
 
-folder = Path(sys.argv[1] if len(sys.argv) > 1
-              else tempfile.mkdtemp(prefix="external-tone-mapper-"))
+temporary = tempfile.TemporaryDirectory(prefix="external-tone-mapper-")  # gone at the end
+folder = Path(sys.argv[1] if len(sys.argv) > 1 else temporary.name)
 
 # 1. Frames that hold the checkerboard, with the exposure that the tone mapper has to apply in their
 #    headers.
