@@ -215,6 +215,28 @@ def test_a_process_ends_while_threads_are_in_libraries_in_cpp(seconds):
     assert found.returncode == 0, found.stderr
 
 
+READS = """
+import sys, threading, time
+from pathlib import Path
+from postfx.io.image_file import ImageFile
+def run():
+    while True:
+        ImageFile(Path(sys.argv[1])).close()
+for _ in range(12):
+    threading.Thread(target=run, daemon=True).start()
+time.sleep(float(sys.argv[2]))
+"""
+
+
+@pytest.mark.parametrize("seconds", ["0.02", "0.04", "0.06", "0.08"])
+def test_a_process_ends_while_files_are_read(seconds):
+    """No library of ours is open that could keep threads from an abort."""
+    file = Path(__file__).parents[1] / "samples/room/noisy.0001.exr"
+    found = subprocess.run([sys.executable, "-c", READS, str(file), seconds], capture_output=True,
+                           text=True, timeout=120)
+    assert found.returncode == 0, found.stderr
+
+
 SERVES = """
 import time
 from postfx.runtime.threads import CommandQueue

@@ -39,6 +39,7 @@ from postfx.io.windows import (
     some_rows,
     to_area,
 )
+from postfx.workers import finished_before_the_end
 
 READABLE = (".exr", ".hdr")
 """Endings of files that are looked for in folders."""
@@ -101,6 +102,7 @@ class ImageFile(ExitStack):
     deep or of an unknown format.
     """
 
+    @finished_before_the_end()
     def __init__(self, path: Path, checked: bool = False) -> None:
         super().__init__()
         self.path = Path(path)
@@ -128,12 +130,13 @@ class ImageFile(ExitStack):
                    else "write the file again")
             raise ReadError(f"{path}: cannot be opened: {reason}; {fix}")
         self._input = opened
-        self.callback(opened.close)
+        self.callback(finished_before_the_end()(opened.close))
         if self._is_still:
             _check_still(self.path, opened.spec())
         self.headers: dict[int, dict[str, Any]] = {}
         self.parts = self._scan()
 
+    @finished_before_the_end()
     def read(
         self, part: Part, channels: Mapping[str, float], rows: tuple[int, int] | None = None
     ) -> dict[str, np.ndarray]:
@@ -168,6 +171,7 @@ class ImageFile(ExitStack):
                       for name, index in zip(channels, indices, strict=True)}
         return {name: to_area(planes[name], part, fill) for name, fill in channels.items()}
 
+    @finished_before_the_end()
     def read_ids(self, part: Part, name: str, rows: tuple[int, int] | None = None) -> np.ndarray:
         """One channel, likewise, with every bit of it: uint32 where it is stored so, else float32;
         0 where there is no data."""
@@ -182,6 +186,7 @@ class ImageFile(ExitStack):
         index = part.channels.index(name)
         return self._require_pixels(self._read_rows(part, index, index + 1, oiio.UINT))[:, :, 0]
 
+    @finished_before_the_end()
     def read_stored(self, part: Part, names: Sequence[str], first: int,
                     last: int) -> list[np.ndarray]:
         """Channels as they are stored, bit for bit: uint32, float16 or float32 (rows, width) of the
