@@ -34,7 +34,7 @@ class Workers(ThreadPoolExecutor):
         with finished_before_the_end():  # until the thread has begun its own work
             try:
                 Server(target=fulfil).start()
-            except RuntimeError:  # from Python 3.12 on, exit functions can start no thread
+            except RuntimeError:  # none can begin any more
                 fulfil()
             begun.wait()
         return future
@@ -52,6 +52,15 @@ class Server(threading.Thread):
     def __init__(self, target: Callable[..., Any], args: tuple[Any, ...] = (),
                  name: str | None = None) -> None:
         super().__init__(target=target, args=args, name=name, daemon=True)
+
+
+def can_begin_threads() -> bool:
+    """Whether a thread can begin: from Python 3.12 on none can once the main thread is done."""
+    try:
+        Server(target=int).start()
+    except RuntimeError:
+        return False
+    return True
 
 
 class _UnderWay:

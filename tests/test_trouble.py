@@ -358,13 +358,17 @@ def test_a_forked_process_reads_and_writes_files(tmp_path):
 
 
 AFTER_MAIN = """
-import threading, time
+import sys, threading, time
 import numpy as np
 import postfx
 frame = postfx.Frame({"colour": np.random.default_rng(1).random((60, 80, 3), np.float32)})
+def refuse(self):
+    raise RuntimeError("can't create new thread at interpreter shutdown")
 def work():
     threading.main_thread().join()
     time.sleep(0.2)
+    if sys.argv[1] == "none begin":
+        threading.Thread.start = refuse
     for name in ("a.exr", "b.png", "c.jpg"):
         postfx.write_frame(name, frame)
     read, = postfx.read_sequence("a.exr")
@@ -376,10 +380,12 @@ threading.Thread(target=work).start()
 """
 
 
-def test_threads_of_the_program_go_on_after_its_main_thread(tmp_path):
-    """Python's pools refuse work from then on; frames would be lost, and the exit status 0."""
-    done = subprocess.run([sys.executable, "-c", AFTER_MAIN], cwd=tmp_path, env=with_sources(),
-                          capture_output=True, text=True, timeout=120)
+@pytest.mark.parametrize("others", ["may begin", "none begin"])
+def test_threads_of_the_program_go_on_after_its_main_thread(others, tmp_path):
+    """Python's pools refuse work from then on; frames would be lost, and the exit status 0. From
+    3.12 on no other thread can begin."""
+    done = subprocess.run([sys.executable, "-c", AFTER_MAIN, others], cwd=tmp_path,
+                          env=with_sources(), capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stderr) == (0, "")
     assert {path.name for path in tmp_path.iterdir()} >= {"a.exr", "b.png", "c.jpg", "d.exr",
                                                           "e.exr"}

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from postfx.files import memory_file, read_to_end
-from postfx.workers import Workers
+from postfx.workers import Workers, can_begin_threads
 
 JPEG_SUFFIXES = (".jpg", ".jpeg")
 JPEG_END = b"\xff\xd9"
@@ -23,8 +23,9 @@ def write_jpeg(path: Path, image_bytes: int, encode: Callable[[Path], None]) -> 
     encode: writes the file under another name. image_bytes: of the pixels that it writes, which it
         has less of.
     """
-    if not Path("/dev/fd").is_dir():
-        # on Windows, where pipes have no names: there must be room for any JPEG
+    if not (Path("/dev/fd").is_dir() and can_begin_threads()):
+        # on Windows, where pipes have no names, or with nobody to read: there must be room for any
+        # JPEG
         with memory_file(JPEG_SUFFIXES[0], image_bytes) as made:
             encode(made)
             path.write_bytes(made.read_bytes())

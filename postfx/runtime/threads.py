@@ -21,6 +21,7 @@ import time
 import weakref
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future, wait
+from contextlib import suppress
 from functools import cache, partial
 from typing import NamedTuple, Protocol
 
@@ -64,13 +65,14 @@ class CommandQueue:
         self._work: Work = queue.SimpleQueue()
         self._apart: list[Future[None]] = []
         self._thread = Server(target=_serve, args=(self._work,), name=name)
-        self._thread.start()
-        weakref.finalize(self, self._work.put, None).atexit = False
-        _threads[self._thread] = self._work
+        with suppress(RuntimeError):  # none can begin any more: who submits does the work
+            self._thread.start()
+            weakref.finalize(self, self._work.put, None).atexit = False
+            _threads[self._thread] = self._work
 
     def submit(self, work: Callable[[], None], beside: Executor | None = None) -> None:
         """Run `work` after everything submitted before; at once on a thread of `beside`, if that is
-        given. In the program's exit functions the caller runs it."""
+        given. While the program ends the caller runs it."""
         self._apart = [other for other in self._apart if not other.done()]
         if not self._thread.is_alive():
             _run_after(self._apart, work)
