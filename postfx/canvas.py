@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 
-from postfx.errors import WriteError
-from postfx.files import write_atomically
+from postfx.files import refusal, write_atomically
 from postfx.thumbnails import png
 
 Colour = tuple[int, int, int]
@@ -94,5 +93,4 @@ def save_png(path: Path, pixels: np.ndarray) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, lambda file: file.write(png(pixels)), durable=True)
     except OSError as error:
-        raise WriteError(f"{path}: cannot be written: {error.strerror}; check the folder and its "
-                         "rights") from error
+        raise refusal(path, error.strerror or str(error)) from error

@@ -244,8 +244,19 @@ def output_file(path: Path) -> Iterator[Path]:
             yield temporary
     except OSError as error:
         reason = (error.strerror or str(error)).replace(str(temporary), str(path))
-        raise WriteError(f"{path}: cannot be written: {reason}; check the folder's rights and free "
-                         "space") from error
+        raise refusal(path, reason) from error
+
+
+def refusal(path: Path, reason: str) -> WriteError:
+    """The error for a file that a user asked for and the file system refuses; `reason` in its
+    words."""
+    in_the_way = [str(one) for one in path.parents
+                  if os.path.lexists(one) and not os.path.isdir(one)]
+    if in_the_way:
+        return WriteError(f"{path}: cannot be written: '{in_the_way[0]}' is no folder: choose "
+                          "another")
+    return WriteError(f"{path}: cannot be written: {reason}; check the folder's rights and free "
+                      "space")
 
 
 def write_atomically(path: Path, write: Callable[[BinaryIO], object],

@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from math import log2
 from typing import TYPE_CHECKING, Any
@@ -14,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from postfx.cuts import CutDetector
-from postfx.errors import CutError, DeviceError, FrameError, PassOptionError
+from postfx.errors import CutError, DeviceError, EncodingError, FrameError, PassOptionError
 from postfx.exposure import ExposureMeter, SmoothExposure, factor_of
 from postfx.flow import Flow
 from postfx.frame import LOG, Frame, FrameSpec, Role
@@ -144,6 +146,7 @@ class Pipeline:
         # whether nothing is known of the frames before
         self._begins_shot = True
         self._flow = Flow(self.device)
+        self._running = threading.Lock()
         self._own_device = own
         self._cuts = cuts
         self._views: dict[str, Pipeline] = {}
@@ -171,20 +174,32 @@ class Pipeline:
         size. Compiles when the frame's spec is not the last one's, which drops the history of
         passes that cannot go on with frames of another size. When anything fails, the history is
         dropped and the error is raised; FrameError for planes that do not fit together.
+        EncodingError while another thread's frame runs, which goes on.
         """
         if not isinstance(frame, Frame):
             raise FrameError(f"a pipeline takes a postfx.Frame, not {_kind(frame)}: give "
                              "Frame({'colour': array}), or use postfx.denoise(array) for a "
                              "single picture")
-        try:
+        with self._alone(), lend(self.device.divide_planes):
             # planes may have been put into it since it was made
-            with lend(self.device.divide_planes):
-                return self._process(frame.copy_with(check=True, metadata=dict(frame.metadata)))
+            return self._process(frame.copy_with(check=True, metadata=dict(frame.metadata)))
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """While one frame runs; drops the history when it fails. EncodingError where another thread
+        runs one: both would go on with the same history."""
+        if not self._running.acquire(blocking=False):
+            raise EncodingError("this pipeline runs a frame in another thread: its frames share "
+                                "one history, so make a Pipeline of its own for each thread")
+        try:
+            yield
         except BaseException:
             self._reset_passes()
             for own in self._views.values():
                 own._reset_passes()
             raise
+        finally:
+            self._running.release()
 
     def _process(self, frame: Frame) -> Frame:
         """One frame: its plan, repair, cut and exposure, then the passes, and its other views."""
@@ -337,9 +352,10 @@ class Pipeline:
             `Frame`.
 
         Raises FrameError for planes that do not fit together, BindingError for arrays that cannot
-        be read, ExposureError for stops that are not a number within -64..64.
+        be read, ExposureError for stops that are not a number within -64..64, EncodingError while
+        another thread's frame runs.
         """
-        try:
+        with self._alone():
             last, last_guides = self._last_on_device
             tensors = share_planes(self.device, "plane", planes, last)
             sharp = share_planes(self.device, "guide", guides or {}, last_guides)
@@ -361,10 +377,7 @@ class Pipeline:
                 guide_jitter=guide_jitter, came_on_device=True,
                 host_planes=Downloads(used), host_guides=Downloads(seen))
             result = self._flow.run_on_device(resident, plan)
-        except BaseException:
-            self._reset_passes()
-            raise
-        self._begins_shot, self.timings = False, dict(self._flow.timings)
+            self._begins_shot, self.timings = False, dict(self._flow.timings)
         same_size = (plan.output.width, plan.output.height) == (spec.width, spec.height)
         return {role: tensor for role, tensor in tensors.items()
                 if same_size and role not in plan.planes} | result

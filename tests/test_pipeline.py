@@ -1,11 +1,12 @@
 """The flow of frames through passes."""
 
 import pickle
+import threading
 
 import numpy as np
 import pytest
 
-from postfx.errors import FrameError, MissingPlaneError, PassContractError
+from postfx.errors import EncodingError, FrameError, MissingPlaneError, PassContractError
 from postfx.exposure import ExposureMeter
 from postfx.frame import Frame, FrameSpec, Role
 from postfx.passes import Pass, Reflection
@@ -342,6 +343,36 @@ def test_a_pickled_pipeline_begins_anew(own, device, monkeypatch):
     assert copied(make_frame(1)) == first
     assert copied.exposure_factor == Pipeline([toys.Sum()], device,
                                               cuts="none")._meter(make_frame(1))
+
+
+class Slow(Probe):
+    """Waits within a frame until it may go on."""
+
+    def __init__(self):
+        super().__init__()
+        self.began, self.may_end = threading.Event(), threading.Event()
+
+    def encode(self, commands, frame):
+        super().encode(commands, frame)
+        self.began.set()
+        assert self.may_end.wait(60)
+
+
+def test_a_pipeline_in_two_threads_is_refused(device):
+    slow = Slow()
+    pipeline = Pipeline([slow], device)
+    results = []
+    other = threading.Thread(target=lambda: results.append(pipeline(make_frame(1))))
+    other.start()
+    assert slow.began.wait(60)
+    with pytest.raises(EncodingError, match="make a Pipeline of its own for each thread"):
+        pipeline(make_frame(2))
+    with pytest.raises(EncodingError, match="make a Pipeline of its own for each thread"):
+        pipeline.on_device(make_frame(2).planes)
+    slow.may_end.set()
+    other.join(60)
+    assert len(results) == 1 and len(slow.seen) == 1
+    pipeline(make_frame(2))
 
 
 def test_a_pickled_pass_has_its_options():

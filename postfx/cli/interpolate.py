@@ -228,14 +228,16 @@ class Interpolation:
 
     def text(self) -> str:
         """The summary for people."""
+        from postfx.cli.summary import count_frames
+
         found = self.summary
-        kept = f"{found.kept} frames of {self._sequence.pattern}"
+        kept = f"{count_frames(found.kept)} of {self._sequence.pattern}"
         lines = [f"wrote    {self._arguments.output}: {kept}, {found.made} new",
                  f"time     {found.seconds:.1f} s"
                  + (f", {found.seconds / found.made:.2f} s a new frame" if found.made else "")]
-        lines += [f"repeated {len(found.repeated)} frames"] * bool(found.repeated)
-        lines += [f"left out {len(found.skipped)} frames"] * bool(found.skipped)
-        passed = ", ".join(f"{interval:g} ({count} times)"
+        lines += [f"repeated {count_frames(len(found.repeated))}"] * bool(found.repeated)
+        lines += [f"left out {count_frames(len(found.skipped))}"] * bool(found.skipped)
+        passed = ", ".join(f"{interval:g} ({count} time{'s' * (count > 1)})"
                            for interval, count in sorted(found.intervals.items()))
         lines.append("timing   from one new frame to the next, in frames of "
                      f"{self._sequence.pattern}: {passed}")
@@ -257,7 +259,8 @@ class Interpolation:
                         in ((moment.start, frame), (moment.start + 1, following)) if one is None),
                        None)
         if missing is not None or frame is None:
-            return None, f"frame {self._sequence.numbers[missing or moment.start]} is missing"
+            absent = self._sequence.numbers[missing or moment.start]
+            return None, f"left out, as frame {absent} of the input is missing"
         if not moment.t:
             return self._renumber(frame, moment), ""
         between = self._between_at(moment.start)

@@ -111,7 +111,7 @@ def describe_frames(sequence: Sequence) -> str:
     """How many frames are wanted, which, and which of them are missing."""
     missing = sequence.missing()
     holes = f", {len(missing)} missing: {format_frames(missing)}" if missing else ""
-    return f"{_frames(len(sequence))} ({format_frames(sequence.numbers)}{holes})"
+    return f"{count_frames(len(sequence))} ({format_frames(sequence.numbers)}{holes})"
 
 
 def describe_preroll(numbers: list[int]) -> str:
@@ -437,7 +437,8 @@ class Report:
 
     def summary(self) -> str:
         """The report in a few lines."""
-        lines = [f"{self.frames} of {_frames(self.total)} in {self.seconds:.1f} s{self._speed()}"]
+        lines = [f"{self.frames} of {count_frames(self.total)} in {self.seconds:.1f} s"
+                 f"{self._speed()}"]
         if kernels := self.preparation.kernels:
             lines.append(f"compiled {kernels} file{'s' * (kernels > 1)} of kernels in "
                          f"{self.preparation.compile_seconds:.1f} s, which is not in these times; "
@@ -445,8 +446,8 @@ class Report:
         lines += [f"ran      {name}: {median(times):.1f} ms a frame"
                   for name, times in self.pass_ms.items()]
         if self.ahead_ms:
-            lines.append(f"ran      {_frames(len(self.ahead_ms))} first, in reverse order, for the "
-                         f"first frames' history: {median(self.ahead_ms):.1f} ms a frame")
+            lines.append(f"ran      {count_frames(len(self.ahead_ms))} first, in reverse order, "
+                         f"for the first frames' history: {median(self.ahead_ms):.1f} ms a frame")
         lines += [f"chose    {name}: {_count_choices(counts)}"
                   for name, counts in self.choices.items()]
         if self.pixel_filter:
@@ -484,12 +485,12 @@ class Report:
         if not self.faults:
             return []
         out = sum(fault.instead == LEFT_OUT for fault in self.faults)
-        lines = [f"failed   {_frames(len(self.faults))}: {out} left out, {len(self.faults) - out} "
-                 "resampled instead"]
+        lines = [f"failed   {count_frames(len(self.faults))}: {out} left out, "
+                 f"{len(self.faults) - out} resampled instead"]
         lines += [f"failed   frame {fault.frame}, {fault.instead}: {fault.why}"
                   for fault in self.faults[:SHOWN_FRAMES]]
         more = len(self.faults) - SHOWN_FRAMES
-        return lines + ([f"failed   {_frames(more)} more, see --json"] if more > 0 else [])
+        return lines + ([f"failed   {count_frames(more)} more, see --json"] if more > 0 else [])
 
     def _skipped_by_reason(self) -> list[tuple[str, str]]:
         """Planes together, since they share a reason; of frames the first few. That there is no
@@ -504,9 +505,9 @@ class Report:
                   if not item.what.startswith(("AOV ", "guide ", "frame "))
                   and item.why != NO_OVERLAY]
         rows = [(item.what, item.why) for item in passes + frames[:SHOWN_FRAMES]]
-        rows += [("AOVs " + ", ".join(planes), "no pass reads them")] if planes else []
         more = len(frames) - SHOWN_FRAMES
-        return rows + ([(f"{_frames(more)} more", "likewise")] if more > 0 else [])
+        rows += [(f"{count_frames(more)} more", "likewise")] if more > 0 else []
+        return rows + ([("AOVs " + ", ".join(planes), "no pass reads them")] if planes else [])
 
     def _speed(self) -> str:
         if not self.frame_ms or not self.frames:
@@ -525,9 +526,9 @@ def warn_of_budget(
         return []
     over = sum(time > budget for time in times)
     networks = ", ".join(chosen.get("denoise_upscale", {}))
-    return [f"--budget {budget:g} was missed by {over} of {_frames(len(times))}: denoising took "
-            f"{median(times):.0f} ms a frame with {networks}: take a smaller --model or output, or "
-            f"allow {_round_up(max(times)):g}"]
+    return [f"--budget {budget:g} was missed by {over} of {count_frames(len(times))}: denoising "
+            f"took {median(times):.0f} ms a frame with {networks}: take a smaller --model or "
+            f"output, or allow {_round_up(max(times)):g}"]
 
 
 def _round_up(milliseconds: float) -> float:
@@ -560,15 +561,15 @@ def _spread(times: list[float]) -> dict[str, float] | None:
             "max": round(max(times), 3)}
 
 
-def _frames(count: int) -> str:
-    return f"{count} frame{'s' * (count > 1)}"
+def count_frames(count: int) -> str:
+    return f"{count} frame{'s' * (count != 1)}"
 
 
 def _broken_text(role: str, found: dict[str, int]) -> str:
     repaired = (", repaired from the pixels around where those are known" if role == Role.COLOUR
                 else "")
     return (f"{found['pixels']} pixel{'s' * (found['pixels'] > 1)} not finite in "
-            f"{_frames(found['frames'])}{repaired}")
+            f"{count_frames(found['frames'])}{repaired}")
 
 
 def _list_numbers(numbers: list[int]) -> str:

@@ -99,6 +99,7 @@ SEQUENCE_CHECKS: tuple[Check, ...] = (
     noise_checks.check_pixel_filter,
     motion_checks.check_frame_count,
     motion_checks.check_frame_sizes,
+    plane_checks.check_in_all_frames,
     plane_checks.check_hit_distance_unused,
     plane_checks.check_missing_planes,
     motion_checks.check_motion_unread,

@@ -136,6 +136,19 @@ def check_uniform_planes(material: Material) -> Iterator[Finding]:
             yield _constant(role, value, len(frames))
 
 
+def check_in_all_frames(material: Material) -> Iterator[Finding]:
+    """AOVs that some frames have and others lack: a run ends at a frame without one of the
+    first's."""
+    for role in dict.fromkeys(role for frame in material.frames for role in frame.planes):
+        without = [frame.number for frame in material.frames if role not in frame]
+        if without:
+            level = error if role in material.frames[0] else warning
+            yield level(role, "not-in-all-frames",
+                        f"not in frame{'s' * (len(without) > 1)} {_list(without)}",
+                        "rendered with other settings, or by another version",
+                        "render these frames again, or choose others (--frames)")
+
+
 def _black(role: Role, black: Sequence[int], examined: int, may_be: bool) -> Finding:
     """The finding for a plane that is black in the frames of these numbers, of all that were
     examined. may_be: whether a scene can look so."""

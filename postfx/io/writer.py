@@ -592,9 +592,14 @@ def check_folder(folder: Path, option: str) -> None:
 def _output_pattern(target: str, source: Pattern) -> Pattern:
     if not is_utf8(target):
         raise WriteError(f"{make_printable(target)}: is not UTF-8: choose another name")
-    if not (target.endswith("/") or os.path.isdir(target) or not Path(target).suffix):
-        _refuse_planes(target)
-        return parse_pattern(target)
+    if not (target.endswith("/") or os.path.isdir(target)):
+        ending, name = Path(target).suffix, Path(target).name
+        if ending and not parse_pattern(ending).is_numbered:
+            _refuse_planes(target)
+            return parse_pattern(target)
+        if parse_pattern(name).is_numbered:
+            raise WriteError(f"{target}: its name has no ending: write it like {target}.exr, or "
+                             f"{target}/ for a folder that is called so")
     start, end = source.prefix.rpartition("/")[2].replace(PLANE_FIELD, "frame"), source.suffix
     if source.is_numbered:
         end = os.path.splitext(f"n{end}")[0][1:]

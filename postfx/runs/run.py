@@ -23,6 +23,7 @@ import numpy as np
 import OpenImageIO
 
 from postfx.errors import Interrupted, MissingFrameError, ReadError, WriteError
+from postfx.files import refusal
 from postfx.frame import Frame
 from postfx.io.pattern import format_frames
 from postfx.io.sequence import Sequence
@@ -254,8 +255,7 @@ class Run:
             self._folder = RunFolder(first.parent, self._id, names)
         except OSError as error:
             self._log.close()
-            remedy = "check the folder's rights and free space"
-            raise WriteError(f"{first}: cannot be written: {error.strerror}; {remedy}") from error
+            raise refusal(first, error.strerror or str(error)) from error
         try:
             self._begin(names)
         except BaseException:

@@ -17,8 +17,7 @@ import numpy as np
 
 from postfx.colour import REC2020, matrix_between, ocio
 from postfx.colour.displays import PQ, PQ_NITS, Display, parse_display
-from postfx.errors import WriteError
-from postfx.files import write_text
+from postfx.files import refusal, write_text
 from postfx.frame import Frame, Role
 from postfx.passes import Pass
 from postfx.passes.display import View
@@ -73,7 +72,7 @@ class LookTable:
             path.parent.mkdir(parents=True, exist_ok=True)
             write_text(path, "\n".join(lines) + "\n")
         except OSError as error:
-            raise WriteError(f"{path}: cannot be written: {error.strerror or error}") from error
+            raise refusal(path, error.strerror or str(error)) from error
 
     def _probe(self, frame: Frame, corners: np.ndarray, turn: int) -> np.ndarray:
         """The look's results (count, 3) for colours (count, 3) at places that differ from turn to

@@ -260,3 +260,15 @@ def test_motion_stored_as_colours_is_found_whatever_signs_the_profile_has(inspec
     assert (code > 0 and {"motion-coded", "motion-encoded"}
             & (codes(found, "error") | codes(found, "warning")))
     assert not {"motion-coded"} & codes(inspect(ROOM)[1], "warning")
+
+
+@pytest.mark.parametrize(("number", "level"), [(1, "warning"), (2, "error")])
+def test_a_plane_that_some_frames_lack(inspect, shot, write_exr, number, level):
+    folder = shot(1, 2, 3)
+    picture = {name: np.random.default_rng(number).random((32, 48)) for name in "RGB"}
+    still = {f"motion.{axis}": np.zeros((32, 48)) for axis in "XY"}
+    write_exr(f"in/shot.{number:04d}.exr", {**picture, **still})
+    _, found = inspect(folder)
+    (told,) = [finding for finding in found["findings"] if finding["code"] == "not-in-all-frames"]
+    assert (told["role"], told["level"], told["evidence"]) == ("depth", level,
+                                                               f"not in frame {number}")

@@ -161,6 +161,26 @@ def test_interpolation_counts_its_frames(here, capsys):
     assert "1/5 between/shot.0001.exr (" in told and "5/5 " in told and "frames/s)" in told
 
 
+def test_one_of_a_thing_is_told_as_one(here, capsys):
+    assert main(["interpolate", "in/", "-o", "between/", "--frames", "2-3"]) == 0
+    assert "0.5 (2 times)" in capsys.readouterr().out
+    (here / "in/shot.0002.exr").unlink()
+    assert main(["interpolate", "in/", "-o", "holed/", "--frames", "1-3"]) == 0
+    told = capsys.readouterr().out
+    assert "2 (1 time)" in told and "left out 3 frames" in told
+
+
+def test_frames_that_are_kept_stand_together(here, shot, capsys):
+    shot(*range(1, 7))
+    for frames in ("1-5", "1-6"):
+        capsys.readouterr()
+        assert main([*RUN, "--no-denoise", "--skip-existing", "--frames", frames]) == 0
+    told = capsys.readouterr().err.splitlines()
+    likewise = told.index("skipped  2 frames more: likewise")
+    assert told[likewise - 1] == "skipped  frame 3: out/shot.0003.exr exists and is complete"
+    assert told[likewise + 1].startswith("skipped  AOVs ")
+
+
 @pytest.mark.parametrize("words", [RUN, ("interpolate", "in/", "-o", "out/")])
 def test_what_writing_loses_is_said_once(here, write_exr, capsys, words):
     for number in (1, 2, 3):

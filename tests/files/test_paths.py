@@ -15,9 +15,10 @@ import pytest
 from postfx.errors import ReadError, SequenceError, WriteError
 from postfx.io.pattern import parse_frames, parse_pattern
 from postfx.io.sequence import Sequence, read_sequence
-from postfx.io.writer import ExistingFiles, OutputFiles
+from postfx.io.writer import ExistingFiles, OutputFiles, write_frame
 from tests.files.conftest import names
 from tests.files.exr_files import channel_hashes, write_mixed
+from tests.toys import make_frame
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -149,7 +150,10 @@ def test_names_that_are_not_utf_8_are_refused(postfx, shot, tmp_path: Path) -> N
 @pytest.mark.parametrize(("target", "told"), [("", "nowhere to write: give -o"),
                                               ("{plane}/a.####.exr", "make the folder '{plane}'"),
                                               ("{view}/a.####.exr", "make the folder '{view}'"),
-                                              ("out/{plane}.####.exr", "is for input")])
+                                              ("out/{plane}.####.exr", "is for input"),
+                                              ("out/####", "write it like out/####.exr"),
+                                              ("out/shot_%04d", "write it like out/shot_%04d.exr"),
+                                              ("out/shot.####", "write it like out/shot.####.exr")])
 def test_outputs_that_are_no_names_are_refused(postfx, shot, target: str, told: str) -> None:
     shot(1)
     done = postfx("in/shot.####.exr", "-o", target)
@@ -239,6 +243,30 @@ def test_an_output_folder_without_rights(visible: Path) -> None:
                           "check the folder")
     assert "Permission denied" in there
     assert names(visible) == ["there"] and names(visible / "there") == []
+
+
+def test_a_folder_whose_name_is_a_pattern(postfx, shot, tmp_path: Path) -> None:
+    shot(1)
+    (tmp_path / "####").mkdir()
+    for target in ("####", "new_####/"):
+        assert postfx("in/shot.####.exr", "-o", target).code == 0
+        assert (tmp_path / target / "shot.0001.exr").exists()
+
+
+@pytest.mark.parametrize("target", ["file/shot.####.exr", "file/below/shot.####.exr", "file"])
+def test_an_output_folder_that_is_a_file(postfx, shot, tmp_path: Path, target: str) -> None:
+    shot(1)
+    (tmp_path / "file").touch()
+    done = postfx("in/shot.####.exr", "-o", target)
+    assert done.code == 2
+    assert "shot.0001.exr: cannot be written: 'file' is no folder: choose another" in done.error
+
+
+def test_a_frame_into_a_folder_that_is_a_file(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for path in (tmp_path / "file/a.exr", tmp_path / "file/below/a.png"):
+        with pytest.raises(WriteError, match=f"'{tmp_path}/file' is no folder: choose another"):
+            write_frame(path, make_frame(1))
 
 
 def test_an_output_that_is_a_folder(postfx, shot, tmp_path: Path) -> None:
