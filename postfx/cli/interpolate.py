@@ -40,6 +40,9 @@ examples:
   postfx interpolate clean/shot.####.exr -o out/shot.####.exr --times 0.25,0.5
   postfx interpolate clean/shot.####.exr -o out/shot.####.exr --fps 24:60
   postfx interpolate clean/shot.####.exr -o out/shot.####.exr --overlays hud/shot.####.exr
+
+exit codes: 0 done; 2 an error whose message says how to fix it; 3 done, but without frames beside
+missing ones
 """
 
 
@@ -50,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Interpolate a sequence; returns the exit code."""
+    from postfx.cli.interruptions import EXIT_FAULTS
     from postfx.cli.summary import FrameProgress
     from postfx.cli.told import Told
 
@@ -60,7 +64,7 @@ def execute(arguments: argparse.Namespace) -> int:
         for number, reason in job.run(progress.advance):
             progress.note(f"frame {number}: {reason}")
     print(json.dumps(job.as_dict()) if arguments.json else job.text())
-    return 0
+    return EXIT_FAULTS if job.summary.skipped else 0
 
 
 SHUTTER_SAMPLES = 8

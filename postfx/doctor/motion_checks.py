@@ -399,9 +399,12 @@ def check_frame_count(material: Material) -> Iterator[Finding]:
     """Too few frames for checks that compare frames."""
     if not material.pairs:
         count = len(material.frames)
-        yield info("sequence", "one-frame", f"{count} frame{'s' * (count > 1)} to look at",
+        found, remedy = (("one frame to look at", "give a sequence") if count == 1 else
+                         (f"{count} frames to look at, of which no two follow each other at one "
+                          "size", "give consecutive frames of one size"))
+        yield info("sequence", "one-frame", found,
                    "motion, jitter, cuts and repeated noise need two consecutive frames of one "
-                   "size", "give a sequence")
+                   "size", remedy)
 
 
 def check_frame_sizes(material: Material) -> Iterator[Finding]:

@@ -131,6 +131,10 @@ class Sequence:
         """The files, and which frames of them."""
         return f"Sequence({str(self.pattern)!r}, frames={format_frames(self.numbers)!r})"
 
+    def __reduce__(self) -> tuple[type[Sequence], tuple[str, ReadOptions]]:
+        """Pickles which frames there are and how they are read: the copy begins anew."""
+        return type(self), (str(self.pattern), replace(self.options, frames=self.numbers))
+
     def __len__(self) -> int:
         return len(self.numbers)
 

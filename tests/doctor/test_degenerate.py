@@ -47,6 +47,12 @@ def test_one_frame_says_so_and_nothing_of_what_shows_over_frames(room, diagnose)
     assert "one-frame" in codes(findings, "info")
 
 
+def test_frames_of_several_sizes_are_no_single_frame(diagnose):
+    frames = [random(size, number) for number, size in enumerate([(40, 48), (20, 24)])]
+    (found,) = [one for one in diagnose(frames) if one.code == "one-frame"]
+    assert "2 frames" in found.evidence and "of one size" in found.fix
+
+
 def test_a_hit_distance_that_cannot_be_used_is_named(diagnose):
     frames = [random((40, 48), number) for number in (1, 2)]
     assert "hit-distance-unused" not in codes(diagnose(frames), "info")

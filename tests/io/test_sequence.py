@@ -1,6 +1,7 @@
 """Patterns, ranges, folders and holes."""
 
 import os
+import pickle
 import re
 import shutil
 from pathlib import Path
@@ -41,6 +42,18 @@ def test_all_spellings_of_the_frame_number(shot, number):
 )
 def test_frame_numbers_are_padded_as_the_pattern_says(pattern, expected):
     assert parse_pattern(pattern).path(7) == Path(expected)
+
+
+@pytest.mark.parametrize("source", ["shot.####.exr", ".", "shot.0003.exr", "shot.*.exr",
+                                    ["shot.0003.exr", "shot.0001.exr"]])
+def test_a_pickled_sequence_begins_anew(source, shot, monkeypatch):
+    """As where frames are shared among processes."""
+    monkeypatch.chdir(shot(1, 2, 3))
+    sequence = read_sequence(source, colourspace="acescg")
+    first = [frame[Role.COLOUR].tolist() for frame in sequence]
+    copied = pickle.loads(pickle.dumps(sequence))
+    assert repr(copied) == repr(sequence)
+    assert [frame[Role.COLOUR].tolist() for frame in copied] == first
 
 
 def test_negative_frames_keep_their_digits():
