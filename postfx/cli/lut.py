@@ -54,14 +54,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(arguments: argparse.Namespace) -> int:
     """Make, measure and write a table; returns the exit code."""
-    from postfx.errors import WriteError
+    from postfx.colour.views import VIEWS
+    from postfx.errors import OptionError, WriteError
     from postfx.exposure import ExposureMeter
     from postfx.frame import Role
     from postfx.io.sequence import read_sequence
     from postfx.passes.display import make_display_passes
+    from postfx.passes.tonemap import looks_by_name
     from postfx.runtime import Device
     from postfx.tools.look_table import LookTable, expose_colour
 
+    if arguments.input in (*looks_by_name(), *VIEWS) and not Path(arguments.input).exists():
+        raise OptionError(f"{arguments.input}: is a look: give frames that it is for, and name it "
+                          f"by --tonemap {arguments.input}")
     path = Path(arguments.output)
     if path.suffix.lower() != ".cube":
         raise WriteError(f"{path}: is not a .cube file: name it {path.with_suffix('.cube')}")

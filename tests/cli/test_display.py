@@ -104,3 +104,4 @@ def test_a_look_becomes_a_table_and_the_table_a_look(postfx, shot, tmp_path):
     done = postfx(*RUN, "-o", "out/a.####.png", "--tonemap", "look.cube", "--json")
     assert done.json["chosen"] == {"view": {"look.cube, takes ACEScct": 2}}
     assert postfx("lut", "in/shot.####.exr", "-o", "look.txt").code == 2
+    assert "name it by --tonemap agx" in postfx("lut", "agx", "-o", "agx.cube").err
