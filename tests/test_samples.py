@@ -221,6 +221,7 @@ def test_the_memory_of_a_frame_is_measured_in_a_process_of_its_own():
 
 @pytest.mark.skipif(find_spec("flip_evaluator") is None,
                     reason="postfx-render[bench] is not installed")
+@pytest.mark.soak
 def test_misses_are_left_alone_as_long_as_that_is_better():
     """At every noise within 0.5 dB of the better of denoising them and leaving them; without noise
     they are left."""
@@ -291,6 +292,7 @@ def test_a_network_shades_frames_that_it_has_not_seen(tmp_path):
 
 @pytest.mark.skipif(find_spec("flip_evaluator") is None,
                     reason="postfx-render[bench] is not installed")
+@pytest.mark.soak
 def test_networks_of_the_room_shade_its_sequence(tmp_path):
     """History makes them calmer by a quarter, and nearer to the reference, whose noise would hide
     it."""
@@ -379,6 +381,7 @@ def test_a_pixel_function_is_the_same_at_every_level() -> None:
     assert all(float(difference) == 0 for difference in found.values())
 
 
+@pytest.mark.soak
 def test_edges_of_overlays_neither_ring_nor_shine(tmp_path):
     """What holds them adds less than 0.5 % to the error; bilinear has more than 10 % more."""
     lines = run("overlay_edges.py", str(tmp_path / "room.png")).splitlines()[1:]

@@ -185,7 +185,7 @@ time.sleep(float(sys.argv[1]))
 """
 
 
-@pytest.mark.parametrize("seconds", ["0.1", "0.3", "0.5"])
+@pytest.mark.parametrize("seconds", ["0.1", "0.3"])
 def test_a_process_ends_while_libraries_and_networks_are_loaded(seconds):
     found = subprocess.run([sys.executable, "-c", LOADS, seconds], capture_output=True, text=True,
                            timeout=120)
@@ -208,7 +208,7 @@ time.sleep(float(sys.argv[1]))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="threads are stopped without unwinding them")
-@pytest.mark.parametrize("seconds", ["0.01", "0.02", "0.03", "0.04"])
+@pytest.mark.parametrize("seconds", ["0.01", "0.03"])
 def test_a_process_ends_while_threads_are_in_libraries_in_cpp(seconds):
     found = subprocess.run([sys.executable, "-c", MEASURES, seconds], capture_output=True,
                            text=True, timeout=120)
@@ -228,7 +228,7 @@ time.sleep(float(sys.argv[2]))
 """
 
 
-@pytest.mark.parametrize("seconds", ["0.02", "0.04", "0.06", "0.08"])
+@pytest.mark.parametrize("seconds", ["0.02", "0.05"])
 def test_a_process_ends_while_files_are_read(seconds):
     """No library of ours is open that could keep threads from an abort."""
     file = Path(__file__).parents[1] / "samples/room/noisy.0001.exr"

@@ -53,6 +53,7 @@ def planes(arrays: list[np.ndarray]) -> torch.Tensor:
     return planes_of(normal, depth[..., 0], *others)
 
 
+@pytest.mark.soak
 def test_the_onnx_form_reads_what_the_kernels_make(tmp_path: Path) -> None:
     torch.manual_seed(0)
     device, network, view = Device("cpu", threads=1), OcclusionNet(8), make_view(0)

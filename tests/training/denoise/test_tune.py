@@ -62,6 +62,7 @@ def test_a_gain_is_written_as_a_network_that_runs(tmp_path: Path, monkeypatch, c
     assert np.abs(tuned - plain).mean() < 0.1
 
 
+@pytest.mark.soak
 def test_more_steps_gain_on_what_was_held_back(tmp_path: Path, monkeypatch, capsys):
     shot, clean = write_shot(tmp_path, "noisy", 0.5, 1, 5), write_shot(tmp_path, "clean", 0.0, 2, 5)
     monkeypatch.setattr(tune, "RATE", 3e-4)
