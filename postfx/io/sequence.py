@@ -135,6 +135,12 @@ class Sequence:
         """Pickles which frames there are and how they are read: the copy begins anew."""
         return type(self), (str(self.pattern), replace(self.options, frames=self.numbers))
 
+    def __copy__(self) -> Sequence:
+        """Shares what is known of the files; `copy` would pickle it."""
+        found = type(self).__new__(type(self))
+        found.__dict__ |= self.__dict__
+        return found
+
     def __len__(self) -> int:
         return len(self.numbers)
 
