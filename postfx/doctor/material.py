@@ -44,6 +44,8 @@ class Material:
         read_motion: how the file's motion is read, if it is.
         whole: width and height of the pictures that the frames are windows of, if they are.
         other_layers: what the first frame's files hold beside the planes: 'AO.R,G,B'.
+        known_parts: layers among them that are light groups or passes by the profile.
+        profile: name of the first frame's profile.
     """
 
     frames: list[Frame]
@@ -55,6 +57,8 @@ class Material:
     unread: list[UnreadMotion] = field(default_factory=list)
     read_motion: ReadMotion | None = None
     other_layers: list[str] = field(default_factory=list)
+    known_parts: list[str] = field(default_factory=list)
+    profile: str = ""
     whole: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
@@ -143,10 +147,11 @@ def read_material(sequence: Sequence) -> Reading:
         stored = [_count_stored(files, first)]
         frames = [_read_unclamped(files, first)]
         layout, guides = files.layout, files.guides
-        others = files.unread()
+        others, known = files.unread(), files.known_parts()
         unread = {layer: [pixels] for layer, pixels in _read_pairs(files).items()}
         names = {layer: _letters(channels) for layer, channels in files.unread_motion().items()}
-    material = Material(frames, {}, layout.hints(), other_layers=others)
+    material = Material(frames, {}, layout.hints(), other_layers=others, known_parts=known,
+                        profile=layout.profile.name)
     most = max(2, min(MOST_HELD_FRAMES,
                       MOST_HELD_PIXELS // (frames[0].spec.width * frames[0].spec.height)))
     ranges = [_ranges(frames[0])]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Iterator, Sequence
+from difflib import SequenceMatcher
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +28,21 @@ _MAY_BE = {role: re.compile(words, re.IGNORECASE) for role, words in {
     Role.NORMAL: r"norm|(^|[._ ])n(n|s|g|world)?\.",
     Role.DEPTH: r"depth|(^|[._ ]|hit)p?z$"}.items()}
 """Names of layers that may be a plane. Motion has a check of its own, which measures."""
+
+_REFLECTED = re.compile(r"spec|refl|gloss", re.IGNORECASE)
+"""Names of layers that are no diffuse albedo."""
+_WORDS = {Role.DIFFUSE_ALBEDO: ("albedo",), Role.NORMAL: ("normal", "normals"),
+          Role.DEPTH: ("depth",), Role.ROUGHNESS: ("roughness",),
+          Role.MOTION: ("motion", "velocity", "vectors")}
+"""Words that a layer's name may be short for, or misspell."""
+_LETTERS = {Role.DIFFUSE_ALBEDO: ("R,G,B",), Role.SPECULAR_ALBEDO: ("R,G,B",),
+            Role.NORMAL: ("X,Y,Z", "R,G,B"), Role.DEPTH: ("Z", "R", "Y", "V"),
+            Role.ROUGHNESS: ("R", "Y", "V"), Role.MOTION: ("X,Y",)}
+"""Channels that a layer must have to be read as the plane."""
+FEWEST_LETTERS = 3
+"""Shorter names say nothing."""
+LEAST_SIMILARITY = 0.8
+"""Of a misspelt word: 1 is the same."""
 
 
 class Cost(NamedTuple):
@@ -75,8 +92,7 @@ def check_missing_planes(material: Material) -> Iterator[Finding]:
     for role, cost in COSTS.items():
         if role in material.first or role in material.first.guides:
             continue
-        maybe = [name for name in material.other_layers
-                 if role in _MAY_BE and _MAY_BE[role].search(name)][:MOST_LISTED]
+        maybe = _find_similar(material, role)[:MOST_LISTED]
         held = f"in the file, but not read: {'; '.join(maybe)}" if maybe else "not in the file"
         evidence = (f"{held}; without it results were {cost.least:.2f} to {cost.most:.2f} dB worse")
         where = material.enable.get(role, "")
@@ -85,9 +101,53 @@ def check_missing_planes(material: Material) -> Iterator[Finding]:
                else "render it, or name it in a profile (--profile FILE.toml)")
         if role is Role.MOTION and {*MOTION_SOURCES} & material.first.planes.keys():
             fix += "; until then it is estimated from other AOVs"
+        if lines := next(filter(None, (_profile_of(material, role, name) for name in maybe)), ""):
+            fix = ("if it is that, write this into a file, for --profile FILE.toml (several planes "
+                   f"share one line 'extends'):\n{lines}")
         alone = role is Role.MOTION and not material.pairs
         level = warning if (cost.least + cost.most) / 2 >= MATTERS_DB and not alone else info
         yield level(role, f"missing-{role.replace('_', '-')}", evidence, cause, fix)
+
+
+def _find_similar(material: Material, role: Role) -> list[str]:
+    """Unread layers, with their channels, that may be the plane by their names. Motion that is
+    measured has a finding of its own."""
+    if role is Role.MOTION and material.unread:
+        return []
+    others = [name for name in material.other_layers
+              if name.rpartition(".")[0] not in material.known_parts
+              and not (role is Role.DIFFUSE_ALBEDO and _REFLECTED.search(name))]
+    return [name for name in others
+            if (role in _MAY_BE and _MAY_BE[role].search(name)) or _is_short_for(role, name)]
+
+
+def _is_short_for(role: Role, name: str) -> bool:
+    """Whether a layer has the channels of the plane, and a name like one of its words: 'nrm.X,Y,Z',
+    'albdo.R,G,B'."""
+    layer, _, letters = name.rpartition(".")
+    if letters.upper() not in _LETTERS[role]:
+        return False
+    return any(_is_like(part, word) for part in re.findall(r"[a-z]+", layer.lower())
+               for word in _WORDS.get(role, ()))
+
+
+def _is_like(part: str, word: str) -> bool:
+    """Whether a part of a name is a word with letters left out, or nearly the word."""
+    if len(part) < FEWEST_LETTERS or part[0] != word[0]:
+        return False
+    rest = iter(word)
+    return (all(letter in rest for letter in part)
+            or SequenceMatcher(None, part, word).ratio() >= LEAST_SIMILARITY)
+
+
+def _profile_of(material: Material, role: Role, name: str) -> str:
+    """TOML of a profile that reads a layer as a plane; '' if its channels are others."""
+    layer, _, letters = name.rpartition(".")
+    if not layer or letters.upper() not in _LETTERS[role]:
+        return ""
+    return "\n".join([f'extends = "{material.profile}"', "[[plane]]", f'role = "{role}"',
+                      f"names = [{json.dumps(layer)}]",
+                      f"channels = [{json.dumps(letters.split(','))}]"])
 
 
 MANY_PERCENT = 50.0
