@@ -102,7 +102,7 @@ def check_missing_planes(material: Material) -> Iterator[Finding]:
         if role is Role.MOTION and {*MOTION_SOURCES} & material.first.planes.keys():
             fix += "; until then it is estimated from other AOVs"
         if lines := next(filter(None, (_profile_of(material, role, name) for name in maybe)), ""):
-            fix = ("if it is that, write this into a file, for --profile FILE.toml (several planes "
+            fix = ("if it is that, write this into a file, for --profile FILE.toml (several AOVs "
                    f"share one line 'extends'):\n{lines}")
         alone = role is Role.MOTION and not material.pairs
         level = warning if (cost.least + cost.most) / 2 >= MATTERS_DB and not alone else info
