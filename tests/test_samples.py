@@ -91,6 +91,7 @@ def test_an_animation_of_pictures_of_two_sizes_is_refused(tmp_path):
         made["write_animation"](tmp_path / "c.png", [tmp_path / "a.png", tmp_path / "b.png"], 8)
 
 
+@pytest.mark.soak
 def test_the_showcase_is_drawn_and_measured(tmp_path):
     """By frames of the room in the place of the product shot."""
     pytest.importorskip("flip_evaluator")
@@ -112,6 +113,7 @@ def test_the_showcase_is_drawn_and_measured(tmp_path):
         assert picture.size == (4 * 180 + 12, 180 + 4 + 24 + 4 + 180) and video.n_frames == 2
 
 
+@pytest.mark.soak
 def test_planes_stand_on_one_picture(tmp_path):
     run("planes.py", str(tmp_path / "planes.png"))
     spec = oiio.ImageInput.open(str(tmp_path / "planes.png")).spec()
@@ -394,6 +396,7 @@ def test_edges_of_overlays_neither_ring_nor_shine(tmp_path):
     assert (tmp_path / "room.png").stat().st_size > 100000
 
 
+@pytest.mark.soak
 def test_sparks_leave_a_third_of_their_ghosts_at_most_with_a_mask(tmp_path):
     printed = run("ghosts.py", "--models", "s", "-o", str(tmp_path / "a.png")).splitlines()
     ghosts = {line[5:17].strip(): float(line[17:].split()[0]) for line in printed}
@@ -440,6 +443,7 @@ def test_reflections_are_better_with_their_hit_distance():
 
 @pytest.mark.skipif(find_spec("flip_evaluator") is None,
                     reason="postfx-render[bench] is not installed")
+@pytest.mark.soak
 def test_history_brings_detail_that_no_frame_holds():
     found = {name: list(map(float, re.findall(r"-?[0-9.]+", albedo)))
              for name, albedo, *_ in cells(run("detail.py", "--frames", "2", "--models", "s",

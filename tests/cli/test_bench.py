@@ -86,6 +86,7 @@ def test_one_frame_and_one_reference_need_no_common_number(postfx, scene):
     assert done.code == 0 and done.json["scale"] == 1.0, done.err
 
 
+@pytest.mark.soak
 def test_ablations_tell_what_a_plane_is_worth(postfx, scene):
     scene(1, 2)
     names = ["m", "m-without-depth", "m-without-all"]

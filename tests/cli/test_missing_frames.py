@@ -113,6 +113,7 @@ def expected_faults(words: list[str]) -> dict[int, str]:
     return faults | ({8: "left out"} if "--frames" in words else {})
 
 
+@pytest.mark.soak
 def test_every_pair_of_options_beside_missing_frames(troubled, capsys):
     pytest.importorskip("flip_evaluator", reason="--reference needs the extra 'bench'")
     runs = choose_runs()

@@ -208,6 +208,7 @@ class Own(View):
         frame.exposure_factor = told
 
 
+@pytest.mark.soak
 def test_a_tone_mapper_of_ones_own_is_judged_by_its_own_curve(device: Device) -> None:
     """Alone, beside the default look, and beside the curve that it should have; right, and with
     each mistake."""

@@ -219,6 +219,7 @@ def test_both_eyes_are_interpolated(scene, tmp_path):
         assert found.metadata["framesPerSecond"] == 48.0
 
 
+@pytest.mark.soak
 def test_a_shutter_blurs_as_the_mean_of_rendered_times_does(shot, tmp_path):
     """Half of 360 degrees, twice as many frames: open for a quarter of the time between two frames
     of the input."""

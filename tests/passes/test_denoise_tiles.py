@@ -403,6 +403,7 @@ def test_the_portable_kernels_do_the_same(device: Device) -> None:
         np.testing.assert_allclose(found, wanted, rtol=2e-3, atol=2e-3)
 
 
+@pytest.mark.soak
 def test_the_time_falls_with_the_mask(device: Device) -> None:
     """The fastest of eight in turns, and far from what is measured, for the machine has other
     work."""

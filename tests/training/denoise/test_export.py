@@ -247,6 +247,7 @@ def test_every_free_size_of_a_kernel_has_a_value_to_trace_with() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::FutureWarning")
+@pytest.mark.soak
 def test_a_kernel_whose_channels_are_free_is_exported(tmp_path: Path) -> None:
     kernel = ACCUMULATE
     denoise_export.export_kernel(kernel, denoise_export.KERNELS[kernel](), denoise_export.SIZES,

@@ -396,6 +396,7 @@ def test_carried_histories_grow_longer_than_a_clip(tmp_path: Path,
         settings(tmp_path, tmp_path / "run", *words, "--both-ways", 0.5)
 
 
+@pytest.mark.soak
 def test_a_machine_that_only_trains_needs_no_library_for_pictures() -> None:
     """Such machines have PyTorch, kornia, NumPy and ONNX, but nothing else that postfx itself
     needs."""

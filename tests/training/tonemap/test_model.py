@@ -182,6 +182,7 @@ def test_views_are_finite_exposed_and_sometimes_wide() -> None:
     assert any((colour < 0).any() for colour, _, _ in colours)
 
 
+@pytest.mark.soak
 def test_training_comes_nearer_to_the_look() -> None:
     """Some steps of one flat lesson: twice as bright."""
     class Brighter:

@@ -153,6 +153,7 @@ def test_fine_tuning_on_a_cpu_takes_small_steps(
 
 
 @pytest.mark.slow
+@pytest.mark.soak
 def test_a_local_look_is_trained_and_exported(tmp_path: Path,
                                               monkeypatch: pytest.MonkeyPatch) -> None:
     for i in range(2):
