@@ -81,6 +81,8 @@ def denoise(
     if (color is None) == (colour is None):
         raise FrameError("denoise takes one picture: give color, the first argument, or colour")
     picture = colour if color is None else color
+    _refuse_other_sizes(picture, {"albedo": albedo, "specular_albedo": specular_albedo,
+                                  "normal": normal, "roughness": roughness, "depth": depth})
     aids = {Role.DIFFUSE_ALBEDO: albedo, Role.SPECULAR_ALBEDO: specular_albedo, Role.NORMAL: normal,
             Role.ROUGHNESS: roughness, Role.DEPTH: depth}
     planes: dict[Role, Any] = {role: plane for role, plane in aids.items() if plane is not None}
@@ -93,6 +95,17 @@ def denoise(
         pipeline.reset()
         return (_on_host(pipeline, picture, planes) if gpu is None
                 else _on_gpu(pipeline, picture, planes))
+
+
+def _refuse_other_sizes(picture: Any, aids: Mapping[str, Any]) -> None:
+    """FrameError for an array that has not the picture's size, by the name that the caller gave
+    it."""
+    size: tuple[int, ...] = getattr(picture, "shape", ())[:2]
+    for name, plane in aids.items():
+        other: tuple[int, ...] = getattr(plane, "shape", ())[:2]
+        if len(size) == len(other) == 2 and tuple(other) != tuple(size):
+            raise FrameError(f"{name} is {other[1]}x{other[0]}, color {size[1]}x{size[0]}: give "
+                             "arrays of one size")
 
 
 def _choose_network(picture: Any, scale: float, place: str | None) -> str:

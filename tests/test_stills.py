@@ -71,7 +71,7 @@ def test_networks_are_loaded_once():
     ([[0.0]], {}, "color is list: give a NumPy array of floats"),
     (COLOUR[..., :2], {}, r"plane 'colour' of frame 1 has shape .24, 32, 2.: it needs"),
     (COLOUR, {"albedo": ALBEDO[:12]},
-     "planes of frame 1 differ in size: colour 32x24, diffuse_albedo 32x12"),
+     "albedo is 32x12, color 32x24: give arrays of one size"),
     (COLOUR, {"normal": NORMAL.astype(int)}, "plane 'normal' of frame 1 is int64"),
     (COLOUR, {"scale": 9}, "scale"),
     (COLOUR, {"model": "none.onnx"}, "no such file"),
