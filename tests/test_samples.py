@@ -282,6 +282,7 @@ def test_networks_improve_ambient_occlusion(tmp_path):
 
 
 @pytest.mark.skipif(find_spec("matplotlib") is None, reason="postfx-render[bench] is not installed")
+@pytest.mark.soak
 def test_a_network_shades_frames_that_it_has_not_seen(tmp_path):
     told = run("neural_shading.py", str(tmp_path / "a.png"), "--steps", "150")
     rows = re.findall(r"(?m)^frame ([36]): shaded ([\d.]+) dB, relMSE ([\d.]+); the noisy render "

@@ -148,6 +148,7 @@ def test_a_frame_of_strength_0_expects_no_error(small_models: Path, device: Devi
     assert not pipeline(masked(seen(2, 32, 48), 0))[Role.ERROR].any()
 
 
+@pytest.mark.soak
 def test_tiles_within_a_memory_budget_are_as_the_whole_frame(small_models: Path,
                                                              device: Device) -> None:
     frames = [seen(number, 40, 1200) for number in range(3)]

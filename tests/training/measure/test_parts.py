@@ -39,6 +39,7 @@ def test_more_samples_come_nearer_to_the_truth() -> None:
 
 @pytest.mark.parametrize(("scale", "way", "most"), [
     (1, "still", 1.4), pytest.param(2, "moving", 1.5, marks=pytest.mark.soak)])
+@pytest.mark.soak
 def test_composites_with_denoised_alpha_are_near_those_with_true_alpha(scale: int, way: str,
                                                                        most: float) -> None:
     """With 256 samples of the truth, 1x is within 1 dB: fewer count against denoised alpha only."""
