@@ -81,11 +81,10 @@ def denoise(
     if (color is None) == (colour is None):
         raise FrameError("denoise takes one picture: give color, the first argument, or colour")
     picture = colour if color is None else color
-    _refuse_other_sizes(picture, {"albedo": albedo, "specular_albedo": specular_albedo,
-                                  "normal": normal, "roughness": roughness, "depth": depth})
     aids = {Role.DIFFUSE_ALBEDO: albedo, Role.SPECULAR_ALBEDO: specular_albedo, Role.NORMAL: normal,
             Role.ROUGHNESS: roughness, Role.DEPTH: depth}
     planes: dict[Role, Any] = {role: plane for role, plane in aids.items() if plane is not None}
+    _refuse_other_sizes(picture, planes)
     gpu = _gpu_of(picture)
     place = device if gpu is None or device is not None else f"cuda:{gpu}"
     if model is None:
@@ -97,13 +96,13 @@ def denoise(
                 else _on_gpu(pipeline, picture, planes))
 
 
-def _refuse_other_sizes(picture: Any, aids: Mapping[str, Any]) -> None:
-    """FrameError for an array that has not the picture's size, by the name that the caller gave
-    it."""
+def _refuse_other_sizes(picture: Any, planes: Mapping[Role, Any]) -> None:
+    """FrameError for an array that has not the picture's size, by the name of its argument."""
     size: tuple[int, ...] = getattr(picture, "shape", ())[:2]
-    for name, plane in aids.items():
+    for role, plane in planes.items():
         other: tuple[int, ...] = getattr(plane, "shape", ())[:2]
         if len(size) == len(other) == 2 and tuple(other) != tuple(size):
+            name = "albedo" if role is Role.DIFFUSE_ALBEDO else role
             raise FrameError(f"{name} is {other[1]}x{other[0]}, color {size[1]}x{size[0]}: give "
                              "arrays of one size")
 

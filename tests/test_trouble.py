@@ -257,14 +257,15 @@ def test_committed_work_ends_before_the_process():
 
 
 STANDS_IN = """
-import atexit, threading, time
+import atexit, time
+from postfx import workers
 from postfx.workers import Workers, end_work
-class Slow(threading.Thread):
+class Slow(workers.Server):
     def run(self):
         time.sleep(0.3)  # before it begins its work
         super().run()
 def submit():
-    threading.Thread = Slow
+    workers.Server = Slow
     pool.submit(lambda: (time.sleep(0.3), print("done", flush=True)))
     end_work()
     print("ended")

@@ -37,7 +37,7 @@ class FirstFrame:
     def compare(self, sequence: Sequence, pipeline: Pipeline, numbers: list[int]) -> list[str]:
         """A warning where one of these frames has another size, or lacks planes that the first one
         has; or else where one has planes that the first one lacks."""
-        spare: list[str] = []
+        spare = ""
         for number in numbers:
             try:
                 with sequence.reader().open(number) as files:
@@ -51,7 +51,7 @@ class FirstFrame:
             if lack := self._lack(number, planes):
                 return [lack]
             spare = spare or self._spare(number, planes, has_motion)
-        return spare
+        return [spare] if spare else []
 
     def _other_size(self, number: int, spec: FrameSpec) -> str:
         """A warning where a frame has not the first one's size; '' where it has, or any may."""
@@ -72,15 +72,15 @@ class FirstFrame:
         return (f"frame {number} has no {names}, but frame {self._number} has: frame {number} "
                 "cannot be denoised; render it again, or choose other frames (--frames)")
 
-    def _spare(self, number: int, planes: set[Role], has_motion: bool) -> list[str]:
-        """A warning where a frame has planes that the first one lacks; none where it has none."""
+    def _spare(self, number: int, planes: set[Role], has_motion: bool) -> str:
+        """A warning where a frame has planes that the first one lacks; '' where it has none."""
         # a plan may hold motion that is estimated, so files tell of that
         more = planes - {*self._plan.planes, Role.MOTION}
         if has_motion and Role.MOTION not in self._held:
             more.add(Role.MOTION)
         if not more:
-            return []
+            return ""
         names = ", ".join(sorted(map(str, more)))
-        return [f"frame {self._number} has no {names}, but frame {number} has: no frame uses what "
+        return (f"frame {self._number} has no {names}, but frame {number} has: no frame uses what "
                 "is not in all; render it for every frame, or choose frames that have it "
-                "(--frames)"]
+                "(--frames)")

@@ -191,9 +191,11 @@ def open_library(name: str, header: Path | None = None, level: str | None = None
 
 @atexit.register
 def _let_stopped_threads_sleep() -> None:
-    """Before 3.14 Python unwinds a daemon thread where it next asks for the interpreter's lock. In
-    a destructor of C++ (NumPy's quantiles and OpenImageIO have such) that would abort the
-    process."""
+    """Keep daemon threads that Python stops inside of C++ from an abort of the process: they sleep.
+
+    Before 3.14 Python unwinds such a thread where it next asks for the interpreter's lock. C++
+    calls its terminate handler if that is in a destructor, as in NumPy's quantiles and OpenImageIO.
+    """
     is_needed = sys.platform == "linux" and sys.version_info < (3, 14)
     if not (is_needed and open_library.cache_info().currsize and _is_compiled(SLEEP, None)):
         return

@@ -252,6 +252,13 @@ def round_to(value: float, digits: int = 4) -> float:
     return float(f"{value:.{digits}g}")
 
 
+def plane_lines(profile: str, role: Role, layer: str, letters: Sequence[str]) -> list[str]:
+    """Lines of TOML of a profile that extends another one by a plane in a layer, whose channels are
+    in this order."""
+    return [f'extends = "{profile}"', "[[plane]]", f'role = "{role}"',
+            f"names = [{json.dumps(layer)}]", f"channels = [{json.dumps(list(letters))}]"]
+
+
 def profile_lines(
     profile: str, layer: str, letters: Sequence[str], swapped: bool, unit: str,
     offset: Iterable[float], scale: tuple[float, float]
@@ -259,8 +266,7 @@ def profile_lines(
     """TOML of a profile that extends another one by motion in a layer; channels are in the order x,
     y."""
     order = list(letters)[::-1] if swapped else list(letters)
-    lines = [f'extends = "{profile}"', "[[plane]]", 'role = "motion"',
-             f"names = [{json.dumps(layer)}]", f"channels = [{json.dumps(order)}]"]
+    lines = plane_lines(profile, Role.MOTION, layer, order)
     if any(offset := list(offset)):
         lines.append(f"offset = [{offset[0]:g}, {offset[1]:g}]")
     if scale != (1, 1):

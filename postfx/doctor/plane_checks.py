@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Iterator, Sequence
@@ -16,6 +15,7 @@ from postfx.doctor import Finding, correlation, error, finite, info, largest, pe
 from postfx.doctor.alignment import ALIGNED_PLANES, compare_edges
 from postfx.doctor.geometry import is_hit
 from postfx.doctor.material import Material
+from postfx.doctor.motion_convention import plane_lines
 from postfx.exposure import measure
 from postfx.frame import ALBEDOS, Frame, Role
 from postfx.kernels.statistics import OUTSIDE, light_outside
@@ -145,9 +145,7 @@ def _profile_of(material: Material, role: Role, name: str) -> str:
     layer, _, letters = name.rpartition(".")
     if not layer or letters.upper() not in _LETTERS[role]:
         return ""
-    return "\n".join([f'extends = "{material.profile}"', "[[plane]]", f'role = "{role}"',
-                      f"names = [{json.dumps(layer)}]",
-                      f"channels = [{json.dumps(letters.split(','))}]"])
+    return "\n".join(plane_lines(material.profile, role, layer, letters.split(",")))
 
 
 MANY_PERCENT = 50.0

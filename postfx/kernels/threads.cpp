@@ -132,9 +132,8 @@ extern "C" int getpid();
 extern "C" unsigned sleep(unsigned seconds);
 extern "C" [[noreturn]] void abort();
 
-// What C++ calls, while the program ends, where it would abort the process. Before 3.14 Python stops
-// its daemon threads by unwinding them, which ends so inside of libraries in C++: such a thread
-// sleeps until the process is gone, as all do from 3.14 on.
+// The terminate handler of C++ while the program ends (compiled/library.py). A daemon thread that
+// Python stops inside of a library sleeps here until the process is gone. The main thread aborts.
 EXPORTED Word sleep_unless_main() {
 #if defined(__x86_64__)
     constexpr long GETTID = 186;
