@@ -30,6 +30,8 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
+from training import ops
+
 WIDTHS = (48, 64, 96, 104)
 """Channels of the U-Net's levels, from the finest one on."""
 BANDS = 6
@@ -312,12 +314,8 @@ HALVES = ("reference_a", "reference_b")
 
 
 def codes_of(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
-    """Codes of light that two independent noisy renders have in the mean.
-
-    Codes of a mean are too dark, as their curve bends; halves are so twice as much, which tells it
-    (Quenouille 1956).
-    """
-    return 2 * to_codes((first + second) / 2) - (to_codes(first) + to_codes(second)) / 2
+    """Codes of light that two independent noisy renders have in the mean."""
+    return ops.without_bias(to_codes, first, second)
 
 
 class Views:

@@ -126,7 +126,8 @@ def spread_noise(stack: Stack, chance: float) -> Stack:
     for part in (COLOUR, *SURFACE):
         planes[:, :, part] = filtered(planes[:, :, part])
         surfaces[:, :, part] = filtered(surfaces[:, :, part])
-    return replace(stack, planes=planes, surfaces=surfaces, reference=filtered(stack.reference))
+    return replace(stack, planes=planes, surfaces=surfaces, reference=filtered(stack.reference),
+                   half=filtered(stack.half))
 
 
 def _curvature(values: Tensor, axis: int) -> Tensor:
@@ -192,25 +193,27 @@ def _flip(stack: Stack) -> Stack:
     """Mirror and transpose the picture; motion and jitter follow."""
     planes = stack.planes
     jitter = stack.jitter.clone()
-    reference = stack.reference
     guides = stack.guides
-    surfaces = stack.surfaces
+    pictures = planes, stack.reference, stack.half, stack.surfaces
     signs = torch.ones(planes.shape[2], device=planes.device)
     for axis in (0, 1):
         if random.random() < 0.5:
-            planes, reference, surfaces = (x.flip(-1 - axis) for x in (planes, reference, surfaces))
+            pictures = tuple(x.flip(-1 - axis) for x in pictures)
             guides = None if guides is None else guides.flip(-1 - axis)
             signs[MOTION + axis::2] = -1
             jitter[..., axis] *= -1
+    is_turned = random.random() < 0.5
+    if is_turned:
+        pictures = tuple(x.transpose(-1, -2) for x in pictures)
+    planes, reference, half, surfaces = pictures
     planes = planes * signs[:, None, None]
-    if random.random() < 0.5:
-        planes, reference, surfaces = (x.transpose(-1, -2) for x in (planes, reference, surfaces))
+    if is_turned:
         guides = None if guides is None else guides.transpose(-1, -2)
         motions = planes[:, :, MOTION:].unflatten(2, (-1, 2)).flip(3).flatten(2, 3)
         planes = torch.cat((planes[:, :, :MOTION], motions), 2)
         jitter = jitter.flip(-1)
-    return replace(stack, planes=planes, jitter=jitter, reference=reference, surfaces=surfaces,
-                   guides=guides)
+    return replace(stack, planes=planes, jitter=jitter, reference=reference, half=half,
+                   surfaces=surfaces, guides=guides)
 
 
 def _permute_channels(stack: Stack) -> Stack:
@@ -230,5 +233,5 @@ def _permute_channels(stack: Stack) -> Stack:
         last = MIRRORED_ALBEDO
         guides = guides[:, :, [c - 3 for c in order[3:last]]] * signs[3:last, None, None]
     surfaces = stack.surfaces[:, :, order[:CHANNELS]] * signs[:CHANNELS, None, None]
-    return replace(stack, planes=planes, reference=stack.reference[:, :, rgb], surfaces=surfaces,
-                   guides=guides)
+    return replace(stack, planes=planes, reference=stack.reference[:, :, rgb],
+                   half=stack.half[:, :, rgb], surfaces=surfaces, guides=guides)

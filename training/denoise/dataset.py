@@ -47,6 +47,8 @@ class Batch:
     Attributes:
         frames: what the network reads of each frame.
         references: (T, N, 3, H, W) exposed linear colour.
+        halves: (T, N, 3, H, W) the same from half of their samples, or the same where references
+            have no halves.
         keep: (T, N, 1, 1, 1) 0 where the history ends, else 1.
         inverse: T motions (N, 2, h, w) to the next frame, for clips that also run backwards.
         static: T motions as if only the camera moved.
@@ -59,6 +61,7 @@ class Batch:
 
     frames: list[Inputs]
     references: Tensor
+    halves: Tensor
     keep: Tensor
     quiet: Tensor | None = None
     inverse: list[Tensor] | None = None
@@ -82,6 +85,7 @@ class Stack:
     """Windows of N clips: the fields of ``Clip``, of one render each, with N in front.
 
     Attributes:
+        half: (N, T, 3, H, W) the reference from half of its samples, or itself.
         exposure: (N, 1, 1, 1).
         quiet: (N,) whether the reference has much less noise than the frames.
         surfaces: (N, T, C, h, w) planes with the true albedos, normals and roughness, NaN where
@@ -93,6 +97,7 @@ class Stack:
     spread: Tensor
     keep: Tensor
     reference: Tensor
+    half: Tensor
     surfaces: Tensor
     guides: Tensor | None
     exposure: Tensor
@@ -102,12 +107,17 @@ class Stack:
 
 class ClipPool:
     """All clips of some folders, each with the weight of its clips; grows while the data factory is
-    still writing. ``prepare`` changes each clip that is loaded."""
+    still writing.
+
+    ``prepare`` changes each clip that is loaded. With ``both_halves``, no render is drawn that is
+    made of half of its reference's samples.
+    """
 
     def __init__(self, folders: Mapping[Path, float], device: torch.device, guides: bool = False,
                  share: int = 0, shares: int = 1, held_out: int = 20, motions: tuple[str, ...] = (),
-                 blank_volumes: bool = True, prepare: Callable[[Clip], Clip] | None = None):
-        self.prepare = prepare
+                 blank_volumes: bool = True, prepare: Callable[[Clip], Clip] | None = None,
+                 both_halves: bool = False):
+        self.prepare, self.both_halves = prepare, both_halves
         self.folders, self.device, self.guides, self.motions = folders, device, guides, motions
         self.blank_volumes = blank_volumes
         self.share, self.shares, self.held_out = share, shares, held_out
@@ -196,7 +206,7 @@ class ClipPool:
         weights = [[clip.weight for clip in clips] for clips in there]
         drawn = random.Random(seed).choices(range(len(shapes)), [sum(w) for w in weights])[0]
         clips = random.choices(there[drawn], weights[drawn], k=size)
-        renders_of = [compared(clip) for clip in clips]
+        renders_of = [compared(clip, self.both_halves) for clip in clips]
         order = [random.sample(renders, len(renders)) for renders in renders_of]
         variants = [renders[turn % len(renders)] for renders in order]
         thinned = [random.random() < sparse for _ in clips]
@@ -209,9 +219,10 @@ class ClipPool:
         return stack if turn == 0 else play_on(stack, backwards=turn % 2 == 1)
 
 
-def compared(clip: Clip) -> list[int]:
-    """Renders that have a reference of other samples."""
-    return [v for v in range(len(clip.planes)) if clip.half is not None or not clip.halved[v]]
+def compared(clip: Clip, both_halves: bool = False) -> list[int]:
+    """Renders that have a reference of other samples, and, if asked for, one of both halves."""
+    may_be_half = clip.half is not None and not both_halves
+    return [v for v in range(len(clip.planes)) if may_be_half or not clip.halved[v]]
 
 
 def play_on(stack: Stack, backwards: bool) -> Stack:
@@ -225,7 +236,8 @@ def play_on(stack: Stack, backwards: bool) -> Stack:
             planes[:, :, first:first + 2] = stack.planes[:, :, inverse:inverse + 2]
         kept = torch.cat((torch.ones_like(kept[:, :1]), kept[:, 1:].flip(1)), 1)
         return replace(stack, planes=planes.flip(1), keep=kept, jitter=stack.jitter.flip(1),
-                       reference=stack.reference.flip(1), surfaces=stack.surfaces.flip(1),
+                       reference=stack.reference.flip(1), half=stack.half.flip(1),
+                       surfaces=stack.surfaces.flip(1),
                        guides=None if stack.guides is None else stack.guides.flip(1))
     kept[:, 0], planes[:, 0, MOTION:] = 1, 0
     return replace(stack, planes=planes, keep=kept)
@@ -284,6 +296,7 @@ def collate(clips: list[Clip], variants: list[int], crop: int | None = None,
         spread=torch.tensor([c.spread[v] for c, v, _ in chosen], device=device),
         keep=torch.stack([c.keep for c in clips]),
         reference=torch.stack([target(c, v)[..., w[2], w[3]] for c, v, w in chosen]).float(),
+        half=torch.stack([half_of_target(c, v)[..., w[2], w[3]] for c, v, w in chosen]).float(),
         surfaces=true,
         guides=torch.stack(guides).float() if guides else None,
         exposure=exposure[:, None, None, None],
@@ -298,6 +311,11 @@ def target(clip: Clip, variant: int) -> Tensor:
         return clip.reference
     assert clip.half is not None, "a clip with halved renders has the other half"
     return clip.half
+
+
+def half_of_target(clip: Clip, variant: int) -> Tensor:
+    """The reference of a noisy render from half of its samples, or itself where there is none."""
+    return target(clip, variant) if clip.half is None else clip.half
 
 
 def has_quiet_target(clip: Clip, variant: int) -> bool:
@@ -341,13 +359,14 @@ def to_batch(stack: Stack) -> Batch:
     planes, *further = stack.planes.split([CHANNELS, *[2] * len(stack.motions)], 2)
     frames = [frame_inputs(p, j, g, stack.exposure)
               for p, j, g in zip(planes.unbind(1), stack.jitter.unbind(1), guides, strict=True)]
-    references = (stack.reference * stack.exposure[:, None]).clamp(0, 1e4).transpose(0, 1)
+    references, halves = ((light * stack.exposure[:, None]).clamp(0, 1e4).transpose(0, 1)
+                          for light in (stack.reference, stack.half))
     motions = {name: list(motion.unbind(1))
                for name, motion in zip(stack.motions, further, strict=True)}
     surfaces = [Inputs(**_split(true, PLANES), jitter=jitter)
                 for true, jitter in zip(stack.surfaces.unbind(1), stack.jitter.unbind(1),
                                         strict=True)]
-    return Batch(frames, references, stack.keep.T[..., None, None, None],
+    return Batch(frames, references, halves, stack.keep.T[..., None, None, None],
                  quiet=stack.quiet[:, None, None, None], inverse=motions.get("inverse"),
                  static=motions.get("static"), surfaces=surfaces)
 

@@ -133,16 +133,32 @@ NOISY = 0.2
 """Error of the input, in code values, of a frame whose weight `even_scale` leaves at 1."""
 DARKEST = 1e-3
 """Exposed light; where there is less, the display curve has the slope that it has here."""
-LARGEST_SEEN = 4.0
-"""In code values: larger errors of what is seen are fireflies of the reference."""
 SQUARED = 40.0
 """Weight of squared errors against noisy references."""
+USUAL_SQUARED_ERROR = 2e-3
+"""Of a denoised frame of few samples, in code values: frames whose reference has as much noise
+count half."""
 
 
 def display(exposed: Tensor) -> Tensor:
     """Exposed linear colour to the sRGB-encoded curve x / (1 + x) that quality is scored on."""
     x = exposed.clamp(min=0)
     return linear_rgb_to_rgb(x / (1 + x))
+
+
+def shown_by_halves(reference: Tensor, half: Tensor) -> Tensor:
+    """Codes of the light that a noisy ``reference`` has in the mean; ``half`` is made of half of
+    its samples, or is the reference itself where that has no noise."""
+    other = (2 * reference - half).clamp(min=0)
+    return ops.without_bias(display, half, other)
+
+
+def certainty(reference: Tensor, half: Tensor) -> Tensor:
+    """Weight (N, 1, 1, 1) of the squared errors of each picture against a noisy ``reference``,
+    whose ``half`` is made of half of its samples. Noise of references leaves the minimum where it
+    is, but hides it, and a few noisy clips would decide every step."""
+    variance = (display(half) - display(reference)).square().mean((1, 2, 3), keepdim=True)
+    return USUAL_SQUARED_ERROR / (USUAL_SQUARED_ERROR + variance)
 
 
 def seen_error(result: Tensor, target: Tensor, at: Tensor) -> Tensor:
@@ -184,12 +200,12 @@ def frame_loss(output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
 
 
 def noisy_frame_loss(output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
-    """Error of exposed linear pictures whose reference holds noise of its own, as in Noise2Noise
-    (Lehtinen et al., 2018): squared errors of what is seen, of pixels and of coarser pictures, each
+    """Error of two display-encoded pictures of which the reference holds noise of its own, as in
+    Noise2Noise (Lehtinen et al., 2018): squared errors of pixels and of coarser pictures, each
     times ``scale`` (N, 1, 1, 1). All of it is least at the mean of such references."""
-    error = seen_error(output, reference, output.detach()).clamp(-LARGEST_SEEN, LARGEST_SEEN)
+    error = (output - reference) * scale
     pictures = [error, *(F.avg_pool2d(error, size) for size in COARSE)]
-    return SQUARED * sum((scale * picture.square()).mean() for picture in pictures)
+    return SQUARED * sum(picture.square().mean() for picture in pictures)
 
 
 def light_loss(output: Tensor, reference: Tensor, knee: float = LIGHT[1]) -> Tensor:
@@ -234,11 +250,13 @@ def error_loss(predicted: Tensor, output: Tensor, reference: Tensor) -> Tensor:
 
 
 def flicker_loss(output: Tensor, previous: Tensor, reference: Tensor, reference_previous: Tensor,
-                 explained: Tensor, scale: Tensor) -> Tensor:
+                 explained: Tensor, scale: Tensor, is_noisy: bool = False) -> Tensor:
     """Error of the motion-compensated temporal difference, times ``scale`` (N, 1, 1, 1), in pixels
-    whose change in the reference is explained by motion."""
+    whose change in the reference is explained by motion. It is squared where references are
+    noisy."""
     change = ((output - previous) - (reference - reference_previous)) * scale
-    return (change.abs() * explained).sum() / (3 * explained.sum() + 1)
+    error = SQUARED * change.square() if is_noisy else change.abs()
+    return (error * explained).sum() / (3 * explained.sum() + 1)
 
 
 def explained_by_motion(reference: Tensor, reference_previous: Tensor) -> Tensor:
@@ -287,13 +305,17 @@ class Truth:
         self.light, self.knee = light
         self.is_noisy, self.quiet = is_noisy, batch.quiet
         self.references = batch.references
-        self.shown = [display(reference) for reference in batch.references]
+        self.shown = list(map(shown_by_halves, batch.references, batch.halves) if is_noisy
+                          else map(display, batch.references))
         ones = torch.ones_like(batch.keep[0])
         self.scale = [even_scale(display(inputs.colour), shown, even) if even else ones
                       for inputs, shown in zip(batch.frames, self.shown, strict=True)]
+        if is_noisy:
+            weights = map(certainty, batch.references, batch.halves)
+            self.scale = [scale * weight.sqrt()
+                          for scale, weight in zip(self.scale, weights, strict=True)]
         self.motion = batch.true_motion or [inputs.motion for inputs in batch.frames]
         self.moved = self._move(self.shown)
-        self.moved_light = self._move(list(batch.references)) if is_noisy else []
         self.explained = [explained_by_motion(now, moved) * keep
                           for now, moved, keep in zip(self.shown[1:], self.moved, batch.keep[1:],
                                                       strict=True)]
@@ -307,15 +329,11 @@ class Truth:
         """Loss of the exposed linear ``outputs`` with a ``weight`` of flicker, the mean PSNR of the
         clip's second half and the mean flicker."""
         shown = [display(output) for output in outputs]
-        if self.is_noisy:
-            pictures = sum(map(noisy_frame_loss, outputs, self.references, self.scale))
-        else:
-            pictures = sum(map(frame_loss, shown, self.shown, self.scale))
+        picture_loss = noisy_frame_loss if self.is_noisy else frame_loss
+        pictures = sum(map(picture_loss, shown, self.shown, self.scale))
         pictures = pictures + self.light * sum(light_loss(*pair, self.knee) for pair
                                               in zip(outputs, self.references, strict=True))
-        changes = range(1, len(shown))
-        flicker = torch.stack([self._noisy_flicker(outputs, t) if self.is_noisy
-                               else self._flicker(shown, t) for t in changes])
+        flicker = torch.stack([self._flicker(shown, t) for t in range(1, len(shown))])
         late = range(len(shown) // 2, len(shown))
         quality = torch.stack([psnr(shown[t].detach(), self.shown[t]).mean() for t in late])
         return ((pictures + weight * flicker.sum()) / len(shown), quality.mean(),
@@ -336,15 +354,7 @@ class Truth:
     def _flicker(self, shown: list[Tensor], t: int) -> Tensor:
         moved = reproject_reference(shown[t - 1], self.motion[t])
         return flicker_loss(shown[t], moved, self.shown[t], self.moved[t - 1],
-                            self.explained[t - 1], self.scale[t])
-
-    def _noisy_flicker(self, outputs: list[Tensor], t: int) -> Tensor:
-        moved = reproject_reference(outputs[t - 1], self.motion[t])
-        change = seen_error(outputs[t] - moved, self.references[t] - self.moved_light[t - 1],
-                            outputs[t].detach()).clamp(-LARGEST_SEEN, LARGEST_SEEN)
-        explained = self.explained[t - 1]
-        squared = self.scale[t] * change.square() * explained
-        return SQUARED * squared.sum() / (3 * explained.sum() + 1)
+                            self.explained[t - 1], self.scale[t], self.is_noisy)
 
 
 class ClipLoss(nn.Module):

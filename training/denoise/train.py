@@ -180,7 +180,8 @@ def add_loss_options(group: argparse._ActionsContainer) -> None:
                        "the error below which it is squared (default: %(default)s)")
     group.add_argument("--noisy-references", action="store_true",
                        help="references hold noise of their own (clips of clean_references "
-                       "--keep-noise): squared errors of light, as in Noise2Noise; with --clean 0")
+                       "--keep-noise): squared errors, as in Noise2Noise, of codes whose bias both "
+                       "halves tell; with --clean 0")
     group.add_argument("--reflectance", type=float, default=0.0, metavar="WEIGHT",
                        help="with --trust: weight of the relative error of the trusted "
                        "reflectance against that of a render with many samples (default: "
@@ -550,7 +551,8 @@ def open_pool(args: argparse.Namespace, rank: int, world: int, device: torch.dev
         motions.append("static")
     prepare = FirstStage(args.first, device) if args.first else None
     return ClipPool(dict(args.clips), device, args.guides, rank, world, motions=tuple(motions),
-                    blank_volumes=not args.volumes, prepare=prepare)
+                    blank_volumes=not args.volumes, prepare=prepare,
+                    both_halves=args.noisy_references)
 
 
 def train(args: argparse.Namespace, rank: int = 0, world: int = 1,

@@ -51,8 +51,8 @@ def entries(count: int) -> Stack:
     for channel, value in zip(range(MOTION, MOTION + 4), (1.0, -2.0, 5.0, 7.0), strict=True):
         planes[:, :, channel] = value
     repeated = {name: getattr(clip, name).repeat(count, *[1] * (getattr(clip, name).ndim - 1))
-                for name in ("jitter", "spread", "keep", "reference", "surfaces", "exposure",
-                             "quiet")}
+                for name in ("jitter", "spread", "keep", "reference", "half", "surfaces",
+                             "exposure", "quiet")}
     return replace(clip, planes=planes, guides=None, motions=("static",), **repeated)
 
 

@@ -27,7 +27,7 @@ def batch() -> Batch:
     frames = [Inputs(new(3), new(3), new(3), new(3) - 0.5, new(1), 1 + new(1), new(2),
                      torch.zeros(1, 2))
               for _ in range(2)]
-    return Batch(frames, torch.zeros(2, 1, 3, 64, 96), torch.ones(2, 1, 1, 1, 1))
+    return Batch(frames, *[torch.zeros(2, 1, 3, 64, 96)] * 2, torch.ones(2, 1, 1, 1, 1))
 
 
 @pytest.fixture

@@ -67,7 +67,8 @@ def moving_clip(scale: int, frames: int = 2) -> Stack:
         reference.append(pattern(*rotated_back(*grid(scale * H, scale * W), t)))
     guides = torch.rand(1, frames, 11, scale * H, scale * W)
     return Stack(planes[None], jitter[None], torch.tensor([False]), torch.ones(1, frames),
-                 torch.stack(reference)[None], planes[None].clone(), guides, torch.ones(1, 1, 1, 1),
+                 *[torch.stack(reference)[None]] * 2, planes[None].clone(), guides,
+                 torch.ones(1, 1, 1, 1),
                  torch.ones(1, dtype=torch.bool))
 
 
@@ -189,13 +190,15 @@ def _even_loss(reference: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
 
 
 def test_a_noisy_reference_moves_no_minimum() -> None:
-    """Over many references of much noise, the loss for such references leads to their mean light,
-    where the loss for clean ones leads below it."""
+    """Over many references of much noise, the loss for such references leads to the codes of their
+    mean light, where the loss for clean ones leads below it."""
     generator = torch.Generator().manual_seed(4)
-    noise = torch.distributions.Gamma(2.0, 2.0)
+    noise = torch.distributions.Gamma(8.0, 8.0)
     torch.manual_seed(4)
     light = 0.2 + torch.rand(1, 3, 1, 1, generator=generator)
-    references = (light * noise.sample((1, 1, 96, 96))).expand(1, 3, 96, 96)
+    halves = light * noise.sample((2, 1, 1, 96, 96))
+    references = halves.mean(0)
+    wanted = losses.shown_by_halves(references, halves[0])
     ones = torch.ones(1, 1, 1, 1)
 
     def pull(loss: Callable[[torch.Tensor], torch.Tensor], share: float) -> float:
@@ -205,13 +208,18 @@ def test_a_noisy_reference_moves_no_minimum() -> None:
         return float(factor.grad)
 
     def noisy(output: torch.Tensor) -> torch.Tensor:
-        return losses.noisy_frame_loss(output, references, ones)
+        return losses.noisy_frame_loss(losses.display(output), wanted, ones)
 
     def clean(output: torch.Tensor) -> torch.Tensor:
         return losses.frame_loss(losses.display(output), losses.display(references), ones)
 
-    assert pull(noisy, 0.95) < 0 < pull(noisy, 1.05)
-    assert pull(clean, 0.95) > 0
+    assert pull(noisy, 0.99) < 0 < pull(noisy, 1.01)
+    assert pull(clean, 0.99) > 0
+
+
+def test_a_reference_without_noise_shows_what_it_is() -> None:
+    light = torch.rand(1, 3, 8, 8) * 4
+    torch.testing.assert_close(losses.shown_by_halves(light, light), losses.display(light))
 
 
 def test_a_clip_with_noisy_references_is_scored_against_them() -> None:
@@ -227,13 +235,15 @@ def test_a_clip_with_noisy_references_is_scored_against_them() -> None:
             state = step.state
             outputs.append(step.output.detach())
     own, other = (loss(one)[0].detach()
-                  for one in (replace(batch, references=torch.stack(outputs)), batch))
+                  for one in (replace(batch, references=torch.stack(outputs),
+                                      halves=torch.stack(outputs)), batch))
     assert own < 1e-6 < 1e-3 < other
 
 
 def test_clips_whose_reference_is_noisy_do_not_judge_the_predicted_error() -> None:
     pictures = [torch.rand(2, 3, 16, 16)]
-    batch = replace(to_batch(moving_clip(2)), references=torch.rand(1, 2, 3, 16, 16),
+    references = torch.rand(1, 2, 3, 16, 16)
+    batch = replace(to_batch(moving_clip(2)), references=references, halves=references,
                     keep=torch.ones(1, 2, 1, 1, 1),
                     quiet=torch.tensor([True, False])[:, None, None, None])
     batch = replace(batch, frames=[replace(batch.frames[0], colour=torch.rand(2, 3, 16, 16),
