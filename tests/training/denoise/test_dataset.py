@@ -94,10 +94,11 @@ def test_spread_noise_keeps_light_and_joins_neighbours() -> None:
     clip = entries(64)
     noise = torch.rand_like(clip.planes[:, :, :3])
     planes = torch.cat((noise, clip.planes[:, :, 3:]), 2)
-    render_size = replace(clip, planes=planes, reference=noise)
+    render_size = replace(clip, planes=planes, reference=noise, half=noise)
     spread = spread_noise(render_size, 0.5)
     found = spread.planes[:, :, :3]
     assert torch.equal(found, spread.reference)  # of the same filter
+    assert torch.equal(found, spread.half)
     assert torch.equal(spread.planes[:, :, DEPTH], planes[:, :, DEPTH])
     changed = (found != noise).flatten(1).any(1)
     assert 0.3 < float(changed.float().mean()) < 0.7

@@ -80,6 +80,7 @@ def test_augmentations_keep_motion_and_jitter_true(seed: int) -> None:
     for batch in (to_batch(clip), Augment(drop=0.0)(clip)):
         moved = losses.reproject_reference(batch.references[0], batch.frames[1].motion)
         assert inner(moved - batch.references[1]).abs().mean() < 0.02 * batch.references.mean()
+        assert torch.equal(batch.halves, batch.references)  # they are the same in this clip
         assert (inner(at_samples(batch, 1) - batch.frames[1].colour).abs()
                 .mean() < 0.02 * batch.references.mean())
 
@@ -215,6 +216,14 @@ def test_a_noisy_reference_moves_no_minimum() -> None:
 
     assert pull(noisy, 0.99) < 0 < pull(noisy, 1.01)
     assert pull(clean, 0.99) > 0
+
+
+def test_clips_of_noisy_references_count_less() -> None:
+    light, generator = torch.rand(2, 3, 32, 32), torch.Generator().manual_seed(1)
+    noise = 0.3 * torch.rand(1, 3, 32, 32, generator=generator)
+    half = light + torch.cat((torch.zeros_like(noise), noise))
+    quiet, noisy = losses.certainty(light, half).flatten().tolist()
+    assert quiet == 1 and 0 < noisy < 0.7
 
 
 def test_a_reference_without_noise_shows_what_it_is() -> None:
