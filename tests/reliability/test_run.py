@@ -272,7 +272,9 @@ def test_full_disk_while_a_checkpoint_is_written(runs, unbroken):
 
 def test_run_that_fails_before_its_first_frame(runs, unbroken):
     failing = {"at": READ, "do": "fail"}
-    assert runs.fail(failing)[0] == 2
+    code, said = runs.fail(failing)
+    assert code == 2 and said.splitlines()[-1] == "error: a read that failed for once"
+    assert " of 8 frames" not in said and "skipped" not in said, "no results of no frame"
     assert list(runs.folder.iterdir()) == []
     assert runs()[0] == 0
     assert runs.fail(failing, more=("--overwrite",))[0] == 2
