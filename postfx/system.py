@@ -55,13 +55,7 @@ def is_plain_name(name: str) -> bool:
 def private_folder(name: str) -> Path | None:
     """A folder that nobody else may write to, since what lies there is run: in the user's cache,
     else with the temporary files; None where neither can be had."""
-    owner = getattr(os, "getuid", getpass.getuser)()
-    bases = [Path(tempfile.gettempdir()) / f"postfx-{owner}"]
-    with suppress(ImportError):  # machines that only train do without
-        from platformdirs import user_cache_path
-
-        bases.insert(0, user_cache_path("postfx", appauthor=False))
-    for base in bases:
+    for base in _private_bases():
         folder = base / name
         try:
             base.parent.mkdir(parents=True, exist_ok=True)
@@ -72,6 +66,17 @@ def private_folder(name: str) -> Path | None:
         except OSError:
             continue
     return None
+
+
+def _private_bases() -> Iterator[Path]:
+    """Where a private folder may lie. Python finds the folder of temporary files by writing one,
+    which stays if the process is killed then: so only where the cache does not serve."""
+    with suppress(ImportError):  # machines that only train do without
+        from platformdirs import user_cache_path
+
+        yield user_cache_path("postfx", appauthor=False)
+    owner = getattr(os, "getuid", getpass.getuser)()
+    yield Path(tempfile.gettempdir()) / f"postfx-{owner}"
 
 
 def _is_private(folder: Path) -> bool:

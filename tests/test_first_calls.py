@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import postfx
+import postfx.integrate
 from postfx.cli.main import main
 from postfx.errors import DeviceError, FrameError, PassOptionError, SequenceError, WriteError
 

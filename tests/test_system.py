@@ -2,13 +2,17 @@
 memory likewise."""
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
+import numpy as np
 import OpenImageIO as oiio
 import pytest
 
 from postfx import system
 from postfx.cli.main import main
+from tests.conftest import REPOSITORY
 
 
 def within(own: str | None, files: dict[str, str], folder: Path, monkeypatch) -> None:
@@ -103,3 +107,28 @@ def test_a_folder_of_someone_else_is_not_used(base: Path, monkeypatch: pytest.Mo
 def test_without_a_home_it_lies_with_the_temporary_files(base: Path) -> None:
     (base / "cache").write_text("a file where the folder should be")
     assert system.private_folder("native").parent == base / f"tmp/postfx-{os.getuid()}"
+
+
+WATCHED = """
+import sys
+def note(event, given):
+    if event in ("open", "os.mkdir") and str(given[0]).startswith(sys.argv[1]):
+        print(event, given[0])
+sys.addaudithook(note)
+from postfx.cli.main import main
+sys.exit(main(sys.argv[2:]))
+"""
+"""Prints what a command makes in a folder."""
+
+
+def test_a_run_with_a_cache_leaves_the_temporary_folder_alone(tmp_path, write_exr):
+    """Python writes a file to find that folder, which stays where a process is killed just then."""
+    write_exr("in/shot.0001.exr", {name: np.ones((16, 16)) for name in "RGB"})
+    (tmp_path / "temporary").mkdir()
+    words = ["run", f"{tmp_path}/in/", "-o", f"{tmp_path}/out/", "--model", "s"]
+    command = [sys.executable, "-c", WATCHED, f"{tmp_path}/temporary", *words]
+    for _ in range(2):  # the first run may compile
+        done = subprocess.run([*command, "--overwrite"], capture_output=True, text=True, check=True,
+                              env={**os.environ, "TMPDIR": f"{tmp_path}/temporary",
+                                   "PYTHONPATH": str(REPOSITORY)})
+    assert done.stdout == "" and not list((tmp_path / "temporary").iterdir())

@@ -75,15 +75,16 @@ try:
     measure.peak_memory()
 except ModuleNotFoundError as error:
     assert error.name == "resource"  # the last resort, where neither /proc nor psutil says it
-place = pathlib.Path(tempfile.mkdtemp()) / "file"
-place.write_text("old")
-with place.open() as reader:
-    try:
-        files.write_atomically(files.Path(place), lambda file: file.write(b"new"))
-    except PermissionError:
-        print("refused")
-files.write_atomically(files.Path(place), lambda file: file.write(b"new"))
-print(place.read_text())
+with tempfile.TemporaryDirectory() as folder:
+    place = pathlib.Path(folder) / "file"
+    place.write_text("old")
+    with place.open() as reader:
+        try:
+            files.write_atomically(files.Path(place), lambda file: file.write(b"new"))
+        except PermissionError:
+            print("refused")
+    files.write_atomically(files.Path(place), lambda file: file.write(b"new"))
+    print(place.read_text())
 """
 
 

@@ -7,6 +7,7 @@ import json
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from postfx.cli.options import Option, Options, Section, parse_from_zero, parse_positive
@@ -61,6 +62,8 @@ def execute(arguments: argparse.Namespace) -> int:
     job = Interpolation(arguments)
     with FrameProgress(job.total) as progress, Told(lambda text: progress.note(f"warning  {text}")):
         progress.start(0)
+        if job.reading:
+            progress.note(job.reading)
         for number, reason in job.run(progress.advance):
             progress.note(f"frame {number}: {reason}")
     print(json.dumps(job.as_dict()) if arguments.json else job.text())
@@ -191,6 +194,21 @@ class Interpolation:
         self._between: dict[int, Between] = {}
         self._first: dict[str, Any] = {}
         self.summary = Summary()
+
+    @property
+    def reading(self) -> str:
+        """How numbers that are several apart are understood, and how to ask for the other meaning;
+        '' where they follow each other."""
+        from postfx.io.pattern import format_frames
+
+        numbers = self._sequence.numbers
+        steps = [after - before for before, after in pairwise(numbers)
+                 if self._sequence.before(after, 1) == [before]]
+        if max(steps, default=1) == 1:
+            return ""
+        return (f"frames {format_frames(numbers)}: {max(steps)} apart, taken to follow each other; "
+                "if frames between them are missing, give --frames="
+                f"{numbers[0]}-{numbers[-1]}")
 
     @property
     def total(self) -> int:

@@ -122,6 +122,8 @@ class Job:
         try:
             with progress, watch, Stop(progress.note) as stop, self._open_run() as run, \
                     Told(lambda text: record.tell([text], progress.note)):
+                record.noticed += run.warnings  # of files that are there: before the work
+                run.warnings.clear()
                 record.warnings = run.warnings
                 self._setup.skips += run.skips
                 loop.announce(run, self.headline())

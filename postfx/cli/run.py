@@ -15,6 +15,7 @@ from postfx.errors import PostfxError
 
 if TYPE_CHECKING:
     from postfx.cli.job import Job
+    from postfx.cli.summary import Report
 
 DESCRIPTION = """\
 Denoise a rendered sequence at its own size; enlarge it with --scale, tone-map it with --tonemap.
@@ -136,7 +137,7 @@ def execute(arguments: argparse.Namespace) -> int:
         # the frames are written all the same, and the summary tells of them
         failure = failure or error
         report = job.report(failure)
-    if told := report.problems() if arguments.quiet else report.summary():
+    if told := _summarize(report, arguments.quiet):
         with suppress(OSError):  # the frames are there, whoever does not listen any more
             print(told, file=sys.stderr)
     if arguments.json:
@@ -144,6 +145,14 @@ def execute(arguments: argparse.Namespace) -> int:
     if failure:
         raise failure
     return EXIT_FAULTS if report.faults else 0
+
+
+def _summarize(report: Report, quiet: bool) -> str:
+    """What to print at the end. A run that ended before any frame has nothing but its error, which
+    a table of zeros would hide."""
+    if report.error and not report.has_run:
+        return ""
+    return report.problems() if quiet else report.summary()
 
 
 def _print_plan(job: Job, arguments: argparse.Namespace) -> None:

@@ -405,6 +405,11 @@ class Report:
     error: str | None = None
     told: list[str] = field(default_factory=list)
 
+    @property
+    def has_run(self) -> bool:
+        """Whether any frame was processed, or failed and was let pass."""
+        return bool(self.frame_ms or self.frames or self.faults)
+
     def as_dict(self) -> dict[str, Any]:
         """The report in plain types."""
         result = {

@@ -38,7 +38,14 @@ from postfx.io.exr.picture import (
 from postfx.io.image_file import reason_of
 from postfx.io.jpeg import JPEG_SUFFIXES, write_jpeg
 from postfx.io.light_plan import LightPlan, find_light_plan
-from postfx.io.pattern import PLANE_FIELD, VIEW_FIELD, Pattern, parse_pattern, split_folder
+from postfx.io.pattern import (
+    PLANE_FIELD,
+    VIEW_FIELD,
+    Pattern,
+    format_frames,
+    parse_pattern,
+    split_folder,
+)
 from postfx.io.png import OWN_CHANNELS, write_png
 from postfx.io.quantisation import Dither, quantise
 from postfx.io.sequence import Sequence
@@ -484,7 +491,8 @@ class OutputFiles:
         self.has_views = self._pattern.has_views
         if len(sequence) > 1 and not self._pattern.is_numbered:
             stem, suffix = Path(target).stem, Path(target).suffix
-            raise WriteError(f"{target}: one file for {len(sequence)} frames: write it like "
+            raise WriteError(f"{target}: one file for {len(sequence)} frames, "
+                             f"{format_frames(sequence.numbers)}: write it like "
                              f"{stem}.####{suffix}")
         if VIEW_FIELD in os.path.dirname(self._pattern.prefix):
             folder = os.path.dirname(str(self._pattern))

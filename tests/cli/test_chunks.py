@@ -159,7 +159,8 @@ def test_a_large_machines_chunk_keeps_its_network_on_a_small_one(postfx, noise, 
      "--scale is for the denoiser, which --no-denoise leaves out"),
     (("--openjd", "in/job.json"), "--openjd in/job.json: write it into this folder, "),
     (("--frames", "1-9"), "3 of 9 frames are missing: 7-9"),
-    (("-o", "farm/one.exr"), "farm/one.exr: one file for 6 frames: write it like one.####.exr"),
+    (("-o", "farm/one.exr"),
+     "farm/one.exr: one file for 6 frames, 1-6: write it like one.####.exr"),
 ])
 def test_options_are_checked_before_a_machine_gets_them(postfx, noise, words, message):
     done = postfx("chunks", "in/shot.####.exr", *words)

@@ -49,6 +49,16 @@ def test_a_wrong_value_is_told_before_files_that_are_there(here, capsys, words, 
             and len(told) < 250)
 
 
+def test_frames_of_another_network_are_told_before_the_work(here, capsys):
+    assert main([*RUN, "--model", "s", "--frames", "1-2"]) == 0
+    capsys.readouterr()
+    assert main([*RUN, "--model", "m", "--skip-existing"]) == 0
+    told = capsys.readouterr().err
+    line = ("warning  kept, though made with other settings, models or versions: frames 1-2; "
+            "--overwrite makes them again\n")
+    assert told.count(line) == 1 and told.index(line) < told.index("out/shot.0003.exr (")
+
+
 @pytest.mark.parametrize(("words", "said"), [
     (("denoise", "in/", "-o", "out/"), "did you mean postfx run?"),
     (("upscale", "in/"), "did you mean postfx run with --scale 2?"),

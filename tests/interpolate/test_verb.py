@@ -75,6 +75,19 @@ def test_a_cut_repeats_and_a_hole_leaves_out_with_a_reason(shot, tmp_path, capsy
         f"shot.{number:04d}.exr" for number in (1, 5, 6, 7)]
 
 
+def test_numbers_apart_are_told_as_they_are_understood(shot, tmp_path, capsys):
+    words = ["interpolate", shot(left_out=(2, 4)), "-o", f"{tmp_path}/out/"]
+    assert main(words) == 0
+    told = capsys.readouterr()
+    assert told.err.splitlines()[0] == (
+        "frames 1,3: 2 apart, taken to follow each other; if frames between them are missing, give "
+        "--frames=1-3")
+    assert "2 frames of" in told.out
+    assert main([*words, "--frames=1-3", "--overwrite"]) == 3
+    told = capsys.readouterr()
+    assert "follow each other" not in told.err and "as frame 2 of the input is missing" in told.err
+
+
 def test_given_overlays_are_put_over_all_frames(shot, tmp_path):
     overlay = np.zeros((72, 112, 4), np.float32)
     overlay[4:12, 4:40] = 3.0, 2.0, 1.0, 1.0

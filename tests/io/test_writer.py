@@ -261,7 +261,8 @@ def test_output_names(sequence, tmp_path):
 
 
 def test_one_output_for_many_frames_is_refused(sequence, tmp_path):
-    with pytest.raises(WriteError, match=r"one file for 2 frames: write it like out\.####\.exr"):
+    with pytest.raises(WriteError,
+                       match=r"one file for 2 frames, 1-2: write it like out\.####\.exr"):
         OutputFiles(f"{tmp_path}/out.exr", sequence)
 
 

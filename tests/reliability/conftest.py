@@ -18,6 +18,8 @@ from tests.reliability.faulty import Fault, Faulty
 
 FRAMES = 8
 SIZE = (32, 48)
+WAITS_S = 120.0
+"""Seconds that a test waits for what a run logs."""
 
 
 def write_frame(path: Path, number: int, reset: bool = False, gain: float = 1.0,
@@ -94,11 +96,19 @@ class Runs:
         code, said = self.fail(fault, passes=passes, more=more)
         assert code == -signal.SIGKILL, said
 
-    def wait_for(self, event: str, count: int = 1) -> None:
-        """Wait until the log has so many events of a kind."""
-        end = time.monotonic() + 300
-        while sum(item["event"] == event for item in self.events()) < count:
-            assert time.monotonic() < end, self.events()
+    def wait_for(self, process: Faulty, event: str, count: int = 1,
+                 seconds: float = WAITS_S) -> None:
+        """Wait until the log has so many events of a kind, but not longer than the process that
+        writes them runs."""
+        end = time.monotonic() + seconds
+        while True:
+            has_ended = process.returncode is not None  # before the log is read for the last time
+            if len(self.events(event)) >= count:
+                return
+            if has_ended or time.monotonic() > end:
+                code = process.wait(0) if has_ended else None
+                raise AssertionError(f"event {count} of '{event}' did not come, exit code {code}: "
+                                     f"{process.said()}")
             time.sleep(0.02)
 
     def events(self, kind: str | None = None) -> list[dict[str, Any]]:

@@ -129,11 +129,20 @@ class Faulty:
         os.kill(self.pid, number)
 
     def wait(self, timeout: float) -> int:
+        """Its exit code. One that does not end in time is killed, as Python would wait for it at
+        the end of all tests."""
         self._process.join(timeout)
-        assert self.returncode is not None, "it does not end"
-        return self.returncode
+        code = self.returncode
+        if code is None:
+            self._process.kill()
+            self._process.join()
+        assert code is not None, f"it does not end within {timeout:g} s: {self.said()}"
+        return code
+
+    def said(self) -> str:
+        return self._said.read_text() if self._said.exists() else ""
 
     def finished(self, timeout: float = 120) -> tuple[int, str]:
         """Exit code and what was said, at its end."""
         code = self.wait(timeout)
-        return code, self._said.read_text() if self._said.exists() else ""
+        return code, self.said()

@@ -24,7 +24,7 @@ def stopped(process: Faulty, number: int) -> str:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_stopped_and_resumed(runs, unbroken, number):
     process = runs.start([SLOW])
-    runs.wait_for("frame", 2)
+    runs.wait_for(process, "frame", 2)
     said = stopped(process, number)
     assert ("stopping when this frame is finished" in said and "interrupted: finished frames are "
             "kept" in said)
@@ -41,7 +41,7 @@ def test_stopped_and_resumed(runs, unbroken, number):
 
 def test_second_signal_stops_at_once(runs, unbroken):
     process = runs.start([STUCK])
-    runs.wait_for("frame", 1)
+    runs.wait_for(process, "frame", 1)
     time.sleep(0.5)
     process.send_signal(signal.SIGINT)
     time.sleep(0.3)

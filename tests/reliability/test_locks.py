@@ -44,7 +44,7 @@ ELSEWHERE = Process.me()._replace(host="another-machine")
 
 def test_two_runs_of_the_same_frames(runs, unbroken):
     first = runs.start([SLOW])
-    runs.wait_for("begin")
+    runs.wait_for(first, "begin")
     code, said = runs("--overwrite", "--frames", "5-8")
     assert code == 2
     assert (f"out.0005.exr: is being written by process {first.pid} on" in said and "wait for "
@@ -226,7 +226,7 @@ def test_only_one_at_a_time(tmp_path):
     (tmp_path / "count").write_text("0")
     (tmp_path / "lock").write_text(json.dumps(dead().as_dict()))
     context = multiprocessing.get_context("fork")
-    workers = [context.Process(target=_count, args=(tmp_path, 25)) for _ in range(4)]
+    workers = [context.Process(target=_count, args=(tmp_path, 25), daemon=True) for _ in range(4)]
     for worker in workers:
         worker.start()
     for worker in workers:
@@ -244,7 +244,8 @@ def _enter(folder, first):
 
 def test_no_entry_of_the_manifest_is_lost(tmp_path):
     context = multiprocessing.get_context("fork")
-    workers = [context.Process(target=_enter, args=(tmp_path, 100 * index)) for index in range(3)]
+    workers = [context.Process(target=_enter, args=(tmp_path, 100 * index), daemon=True)
+               for index in range(3)]
     for worker in workers:
         worker.start()
     for worker in workers:

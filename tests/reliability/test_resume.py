@@ -109,7 +109,9 @@ def test_checkpoint_of_other_settings_is_not_used(runs):
                 more=("--checkpoint", "0", "--exposure", "auto", "--cuts", "none"))
     code, said = runs(*RESUME)
     assert code == 0 and not runs.events("recall")
-    assert "kept, though made with other settings, models or versions: frames " in said
+    warning = "warning  kept, though made with other settings, models or versions: frames "
+    assert said.count(warning) == 1
+    assert said.index(warning) < said.index("/8 "), "before the work"
 
 
 def test_a_frame_lost_in_the_middle(runs, unbroken):

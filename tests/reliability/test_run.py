@@ -4,7 +4,10 @@ written."""
 import json
 import os
 import shutil
+import signal
 import subprocess
+import time
+from pathlib import Path
 
 import OpenImageIO as oiio
 import pytest
@@ -53,7 +56,7 @@ def test_verify_tells_a_killed_run(runs):
 
 def test_verify_tells_a_run_that_runs(runs):
     process = runs.start([{"at": WRITE, "do": "sleep", "seconds": 0.3}])
-    runs.wait_for("frame", 2)
+    runs.wait_for(process, "frame", 2)
     assert list(runs.verify()[1]["runs"].values()) == ["running"]
     assert process.wait(60) == 0
 
@@ -190,8 +193,25 @@ def test_a_log_that_is_a_pipe(runs, tmp_path):
     code, said = runs("--log", str(pipe))
     assert code == 2 and "pipe: cannot be written: nobody reads this pipe: give --log" in said
     with subprocess.Popen(["cat", pipe], stdout=subprocess.PIPE) as reader:
-        assert runs("--log", str(pipe))[0] == 0
-        assert '"event": "end"' in reader.communicate()[0].decode()
+        try:
+            held = open_once_read(pipe)
+            code, said = runs("--log", str(pipe))
+            os.close(held)
+            assert code == 0, said
+            assert '"event": "end"' in reader.communicate(timeout=60)[0].decode()
+        finally:
+            reader.kill()  # it waits for ever where no run opens the pipe
+
+
+def open_once_read(pipe: Path) -> int:
+    """The pipe open for writing, as soon as somebody reads it."""
+    end = time.monotonic() + 60
+    while True:
+        try:
+            return os.open(pipe, os.O_WRONLY | os.O_NONBLOCK)
+        except OSError:
+            assert time.monotonic() < end, "nobody reads the pipe"
+            time.sleep(0.01)
 
 
 def test_reads_that_fail_and_recover(runs, unbroken):
@@ -205,6 +225,18 @@ def test_read_that_keeps_failing(runs, unbroken):
     assert code == 2 and "error: a read that failed for once" in said and "Traceback" not in said
     assert list(runs.files()) == list(unbroken)[:3]
     assert runs("--skip-existing")[0] == 0 and runs.files() == unbroken
+
+
+def test_a_process_that_never_gets_there_ends_the_wait(runs):
+    process = runs.start([], "--frames", "1-2")
+    with pytest.raises(AssertionError, match="event 3 of 'frame' did not come, exit code 0: "):
+        runs.wait_for(process, "frame", 3)
+    stuck = runs.start([{"at": READ, "do": "sleep", "seconds": 1000}], "--overwrite")
+    with pytest.raises(AssertionError, match="event 3 of 'frame' did not come, exit code None"):
+        runs.wait_for(stuck, "frame", 3, seconds=0.1)
+    with pytest.raises(AssertionError, match=r"it does not end within 0\.1 s"):
+        stuck.wait(0.1)
+    assert stuck.returncode == -signal.SIGKILL
 
 
 def test_a_slow_disk_changes_no_file(runs, unbroken):
@@ -240,7 +272,9 @@ def test_full_disk_while_a_checkpoint_is_written(runs, unbroken):
 
 def test_run_that_fails_before_its_first_frame(runs, unbroken):
     failing = {"at": READ, "do": "fail"}
-    assert runs.fail(failing)[0] == 2
+    code, said = runs.fail(failing)
+    assert code == 2 and said.splitlines()[-1] == "error: a read that failed for once"
+    assert " of 8 frames" not in said and "skipped" not in said, "no results of no frame"
     assert list(runs.folder.iterdir()) == []
     assert runs()[0] == 0
     assert runs.fail(failing, more=("--overwrite",))[0] == 2
