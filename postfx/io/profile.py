@@ -78,7 +78,7 @@ from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from postfx.errors import ProfileError
+from postfx.errors import ProfileError, offer
 from postfx.files import parse_toml, read_text
 from postfx.frame import ADDITIVE, ROLES, Role
 
@@ -140,7 +140,7 @@ def check(table: Mapping[str, Any], kinds: Mapping[str, Kind], path: Path,
     has."""
     for key in sorted(table):
         if key not in kinds:
-            raise ProfileError(f"{path}: {where}: unknown key '{key}': use {', '.join(kinds)}")
+            raise ProfileError(f"{path}: {where}: unknown key '{key}'{offer(key, kinds)}")
         if not kinds[key].fits(table[key]):
             raise ProfileError(f"{path}: {where}: {key} must be {kinds[key].words}")
 
@@ -256,9 +256,8 @@ def load_profile(name: str) -> Profile:
     if not os.path.isfile(path):
         path = Path(name)
         if path.suffix != ".toml":
-            known = ", ".join(profile_names())
-            raise ProfileError(f"unknown profile '{name}': use one of {known}, or the path of a "
-                               "TOML file")
+            known = offer(name, profile_names(), "use one of")
+            raise ProfileError(f"unknown profile '{name}'{known}, or the path of a TOML file")
     try:
         return _parse(_read_table(path), path)
     except OSError as error:
@@ -309,8 +308,8 @@ def _check_choices(table: Mapping[str, Any], keys: Iterable[str], path: Path, wh
     for key in keys:
         allowed = _CHOICES[key]
         if table.get(key, allowed[0]) not in allowed:
-            known = ", ".join(filter(None, allowed))
-            raise ProfileError(f"{path}: {where}: {key} = {table[key]!r}: use one of {known}")
+            known = offer(table[key], filter(None, allowed), "use one of")
+            raise ProfileError(f"{path}: {where}: {key} = {table[key]!r}{known}")
 
 
 def _part(table: dict[str, Any], path: Path) -> PartRule:
@@ -319,8 +318,8 @@ def _part(table: dict[str, Any], path: Path) -> PartRule:
     if not table.get("names"):
         raise ProfileError(f"{path}: {where}: give the names of layers")
     if table.get("kind", "light") not in ADDITIVE:
-        raise ProfileError(f"{path}: {where}: kind = {table['kind']!r}: use one of "
-                           f"{', '.join(ADDITIVE)}")
+        known = offer(table["kind"], ADDITIVE, "use one of")
+        raise ProfileError(f"{path}: {where}: kind = {table['kind']!r}{known}")
     return PartRule(**{**table, "names": tuple(table["names"])})
 
 
@@ -334,7 +333,8 @@ def _plane(table: dict[str, Any], path: Path) -> PlaneRule:
     where = f"[[plane]] role = {table.get('role')!r}"
     check(table, PLANE_KEYS, path, where)
     if table.get("role") not in list(Role):
-        raise ProfileError(f"{path}: {where}: unknown role: use one of {', '.join(Role)}")
+        known = offer(table.get("role", ""), Role, "use one of")
+        raise ProfileError(f"{path}: {where}: unknown role{known}")
     _check_choices(table, _CHOICES, path, where)
     role, listed = Role(table["role"]), {"names", "channels", "requires", "without", "scale",
                                          "offset", "clamp"}

@@ -20,7 +20,7 @@ import OpenImageIO as oiio
 
 from postfx.caching import LRUCache
 from postfx.colour.displays import SRGB, Display, parse_display
-from postfx.errors import FrameError, OutputExistsError, WriteError
+from postfx.errors import FrameError, OutputExistsError, WriteError, offer
 from postfx.files import is_utf8, output_file, with_slashes
 from postfx.frame import LINEAR, TOLD, Frame, Role
 from postfx.io.encoder import cut_pieces, display_of, encode_all, encode_pixel, tag_codes
@@ -82,7 +82,7 @@ def is_display_format(path: str | PathLike[str]) -> bool:
         raise WriteError(f"{path}: postfx writes frames: write '{stem}.####.png', then run ffmpeg "
                          f"-framerate 24 -i {stem}.%04d.png -pix_fmt yuv420p {stem}{suffix}")
     if suffix not in WRITABLE:
-        raise WriteError(f"{path}: unknown format '{suffix}': use {', '.join(WRITABLE)}")
+        raise WriteError(f"{path}: unknown format '{suffix}'{offer(suffix, WRITABLE)}")
     return suffix in DISPLAY_FORMATS
 
 
@@ -109,8 +109,8 @@ def check_compression(path: Path, compression: str) -> None:
     name, _, level = compression.partition(":")
     if (name not in COMPRESSIONS.values()
         or (level and (name not in _LEVELLED or not level.isdigit()))):
-        raise WriteError(f"--compression {compression}: use one of "
-                         f"{', '.join(COMPRESSIONS.values())}, or with a level dwaa:45 or dwab:45")
+        known = offer(name, COMPRESSIONS.values(), "use one of")
+        raise WriteError(f"--compression {compression}{known}, or with a level dwaa:45 or dwab:45")
     if not can_compress(name):
         raise WriteError(f"--compression {name}: OpenImageIO {oiio.__version__}, which is "
                          "installed here, does not write it: install 3.2 or newer, or give zip")
