@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -92,6 +93,32 @@ def test_a_pipeline_is_called_with_a_frame():
 def test_what_is_written_is_a_frame(given, kind):
     with pytest.raises(FrameError, match=f"takes a path and a postfx.Frame, not {kind}: "):
         postfx.write_frame(*given)
+
+
+def test_a_picture_without_a_look_is_told_once_with_the_way_to_one(tmp_path):
+    dark = postfx.Frame({"color": np.full((8, 8, 3), 0.02, np.float32)})
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("default")
+        for number in range(3):
+            postfx.write_frame(tmp_path / f"dark.{number}.png", dark)
+    text = str(told[0].message)
+    assert len(told) == 1 and told[0].filename == __file__ and "\n" not in text
+    assert "postfx.Pipeline([postfx.ToneMap()])" in text and "encoding='display-linear'" in text
+
+
+def test_a_picture_with_a_look_or_of_a_display_and_light_in_exr_are_not_told_of(tmp_path):
+    dark = postfx.Frame({"color": np.full((8, 8, 3), 0.02, np.float32)})
+    shown = postfx.Pipeline([postfx.ToneMap()], "cpu")(dark)
+    meant = postfx.Frame(dark.planes, encoding="display-linear")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for name, frame in {"a.png": shown, "b.png": meant, "c.jpg": meant, "d.exr": dark}.items():
+            postfx.write_frame(tmp_path / name, frame)
+    with pytest.warns(RuntimeWarning, match="without exposure and look"):
+        postfx.write_frame(tmp_path / "e.png", dark)
+    same, as_before, mapped = ((tmp_path / name).read_bytes()
+                               for name in ("b.png", "e.png", "a.png"))
+    assert same == as_before != mapped
 
 
 def test_one_frame_and_a_device_go_by_their_plain_names(write_exr, tmp_path):

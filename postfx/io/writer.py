@@ -7,6 +7,7 @@ import errno
 import os
 import re
 import tempfile
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -65,6 +66,10 @@ _HOLDS_CODES: LRUCache[tuple[object, ...], bool] = LRUCache(MOST_KINDS_OF_OUTPUT
 """Whether files hold pictures for a display, by suffix, bits, compression and encoding: those that
 can be written."""
 
+NO_LOOK = ("write_frame: a scene-linear frame becomes a picture without exposure and look, clipped "
+           "to 0..1 and encoded as sRGB: run it through postfx.Pipeline([postfx.ToneMap()]) first, "
+           "as 'postfx run' does, or write .exr; encoding='display-linear' says that 1 is white")
+"""Names no file, so that Python shows it once for all frames of a loop."""
 SRGB_DISPLAY = parse_display("srgb")
 LEAST_FACTOR = np.float32(1 / 256)
 """Black in 8 bits: what light that reached a place without colour is divided by."""
@@ -140,7 +145,7 @@ def write_frame(
 
     Other files hold code values within the display window; 8 bits are dithered. They are tagged
     with the display that they are for, see `postfx.io.encoder`. Linear frames are clipped to 0..1
-    there and encoded as sRGB, so tone-map them first.
+    there and encoded as sRGB, so tone-map them first: a RuntimeWarning tells of scene-linear ones.
 
     The file appears under its name only when it is complete; folders are made.
 
@@ -182,6 +187,8 @@ def write_frame(
         raise WriteError(f"{path}: {path.suffix[1:].upper()} holds one view: write EXR, or choose "
                          "one with --view NAME")
     if shown:
+        if frame.encoding == "scene-linear":
+            warnings.warn(NO_LOOK, RuntimeWarning, stacklevel=3)  # past the decorator
         _write_codes(path, frame, Dither(dither), bits, relax)
         return path
     exact = any(source.exact for name, source in frame.part_sources.items() if name in frame.parts)
