@@ -45,7 +45,7 @@ class Material:
         whole: width and height of the pictures that the frames are windows of, if they are.
         other_layers: what the first frame's files hold beside the planes: 'AO.R,G,B'.
         known_parts: layers among them that are light groups or passes by the profile.
-        profile: name of the first frame's profile.
+        profile: what another profile calls the first frame's to extend it.
     """
 
     frames: list[Frame]
@@ -151,7 +151,7 @@ def read_material(sequence: Sequence) -> Reading:
         unread = {layer: [pixels] for layer, pixels in _read_pairs(files).items()}
         names = {layer: _letters(channels) for layer, channels in files.unread_motion().items()}
     material = Material(frames, {}, layout.hints(), other_layers=others, known_parts=known,
-                        profile=layout.profile.name)
+                        profile=layout.profile.reference)
     most = max(2, min(MOST_HELD_FRAMES,
                       MOST_HELD_PIXELS // (frames[0].spec.width * frames[0].spec.height)))
     ranges = [_ranges(frames[0])]
@@ -174,10 +174,10 @@ def read_material(sequence: Sequence) -> Reading:
             frames.append(frame)
             for layer, pixels in more.items():
                 unread.setdefault(layer, []).append(pixels)
-    material.unread = [UnreadMotion(layer, names[layer], tuple(planes), layout.profile.name)
+    material.unread = [UnreadMotion(layer, names[layer], tuple(planes), layout.profile.reference)
                        for layer, planes in unread.items() if layer in names]
     if motion := layout.planes.get(Role.MOTION):
-        material.read_motion = ReadMotion(layout.profile.name,
+        material.read_motion = ReadMotion(layout.profile.reference,
                                           motion.channels[0].name.rpartition(".")[0],
                                           _letters(motion.channels), motion.rule)
     material.measured.insert(0, first)
