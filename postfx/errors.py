@@ -50,16 +50,34 @@ from typing import Any
 
 from postfx.streams import make_printable
 
+LEAST_LIKENESS = 0.65
+"""Of a name to a word that may be a misspelt form of it: 1 is the same."""
 
-def suggest(word: str, known: Iterable[str]) -> str:
-    """': did you mean X?' for a word that is nearly a known one, or begins with one; else
-    nothing."""
+
+def find_nearest(word: object, known: Iterable[str], most: int,
+                 least: float = LEAST_LIKENESS) -> list[str]:
+    """At most so many names that are like a word, whatever their letter case, best first."""
     from difflib import get_close_matches  # on errors only
 
+    folded = {name.lower(): name for name in known}
+    return [folded[name] for name in get_close_matches(str(word).lower(), folded, most, least)]
+
+
+def suggest(word: object, known: Iterable[str]) -> str:
+    """': did you mean X?' for a word that is nearly a known one, or begins with one; else
+    nothing."""
     names = list(known)
-    begins = sorted((name for name in names if name and word.lower().startswith(name)), key=len)
-    near = get_close_matches(word.lower(), names, 1, 0.6) or begins[-1:]
+    begins = sorted((name for name in names if name and str(word).lower().startswith(name.lower())),
+                    key=len)
+    near = find_nearest(word, names, 1) or begins[-1:]
     return f": did you mean {near[0]}?" if near else ""
+
+
+def offer(word: object, known: Iterable[str], lead: str = "use") -> str:
+    """What follows a word that is none of the known ones: ': did you mean B? use A, B', or ': use
+    A, B' where it is like none of them."""
+    names = list(known)
+    return f"{suggest(word, names) or ':'} {lead} {', '.join(names)}"
 
 
 class PostfxError(Exception):

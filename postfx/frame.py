@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from postfx.colour.displays import DISPLAY_KINDS, parse_display
-from postfx.errors import ColourError, FrameError, GuideError, suggest
+from postfx.errors import ColourError, FrameError, GuideError, offer
 from postfx.system import host_floats
 
 LOG = logging.getLogger("postfx")
@@ -69,9 +69,8 @@ def find_role(word: Role | str, kind: str = "plane", where: str = "") -> Role:
     try:
         return Role(word)
     except ValueError:
-        hint = suggest(str(word), Role) or ":"
-        raise FrameError(f"{kind} '{word}'{where} has no meaning here{hint} roles are "
-                         f"{', '.join(Role)}") from None
+        raise FrameError(f"{kind} '{word}'{where} has no meaning here"
+                         f"{offer(str(word), Role, 'roles are')}") from None
 
 
 class RoleInfo(NamedTuple):
@@ -200,8 +199,8 @@ class Part:
 
     def __post_init__(self) -> None:
         if self.kind not in PART_KINDS:
-            raise FrameError(f"part '{self.name}' is of the unknown kind '{self.kind}': use "
-                             f"{', '.join(PART_KINDS)}")
+            raise FrameError(f"part '{self.name}' is of the unknown kind '{self.kind}'"
+                             f"{offer(self.kind, PART_KINDS)}")
 
     @property
     def is_light(self) -> bool:

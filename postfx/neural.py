@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from postfx.errors import BindingError, DeviceError, ModelError
+from postfx.errors import BindingError, DeviceError, ModelError, offer
 from postfx.files import write_atomically
 from postfx.kernels.neural import (
     ACTIVATIONS,
@@ -68,8 +68,8 @@ class Network:
 
     def __post_init__(self) -> None:
         if self.activation not in ACTIVATIONS:
-            raise ModelError(f"no activation '{self.activation}': there are "
-                             f"{', '.join(ACTIVATIONS)}")
+            raise ModelError(f"no activation '{self.activation}'"
+                             f"{offer(self.activation, ACTIVATIONS, 'there are')}")
         if len(self.hidden) >= MOST_LAYERS:
             raise ModelError(f"{len(self.hidden)} hidden layers: a small network has at most "
                              f"{MOST_LAYERS - 1}")

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from postfx.errors import FrameError, PassOptionError
+from postfx.errors import FrameError, PassOptionError, offer
 from postfx.frame import Frame, FrameSpec, Role
 from postfx.passes import Pass
 from postfx.passes.denoise.geometry import SIDE_MULTIPLE
@@ -35,7 +35,7 @@ output's pixels."""
 def validate_wrap(wrap: str) -> str:
     """The value itself; PassOptionError for none of `WRAPS`."""
     if wrap not in WRAPS:
-        raise PassOptionError(f"wrap '{wrap}': give {', '.join(WRAPS[:-1])} or {WRAPS[-1]}")
+        raise PassOptionError(f"wrap '{wrap}'{offer(wrap, WRAPS, 'give')}")
     return wrap
 
 

@@ -3,15 +3,17 @@ line."""
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import postfx
-import postfx.integrate
+from postfx import integrate
 from postfx.cli.main import main
 from postfx.errors import DeviceError, FrameError, PassOptionError, SequenceError, WriteError
 
@@ -93,6 +95,32 @@ def test_what_is_written_is_a_frame(given, kind):
         postfx.write_frame(*given)
 
 
+def test_a_picture_without_a_look_is_told_once_with_the_way_to_one(tmp_path):
+    dark = postfx.Frame({"color": np.full((8, 8, 3), 0.02, np.float32)})
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("default")
+        for number in range(3):
+            postfx.write_frame(tmp_path / f"dark.{number}.png", dark)
+    text = str(told[0].message)
+    assert len(told) == 1 and told[0].filename == __file__ and "\n" not in text
+    assert "postfx.Pipeline([postfx.ToneMap()])" in text and "encoding='display-linear'" in text
+
+
+def test_a_picture_with_a_look_or_of_a_display_and_light_in_exr_are_not_told_of(tmp_path):
+    dark = postfx.Frame({"color": np.full((8, 8, 3), 0.02, np.float32)})
+    shown = postfx.Pipeline([postfx.ToneMap()], "cpu")(dark)
+    meant = postfx.Frame(dark.planes, encoding="display-linear")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for name, frame in {"a.png": shown, "b.png": meant, "c.jpg": meant, "d.exr": dark}.items():
+            postfx.write_frame(tmp_path / name, frame)
+    with pytest.warns(RuntimeWarning, match="without exposure and look"):
+        postfx.write_frame(tmp_path / "e.png", dark)
+    same, as_before, mapped = ((tmp_path / name).read_bytes()
+                               for name in ("b.png", "e.png", "a.png"))
+    assert same == as_before != mapped
+
+
 def test_one_frame_and_a_device_go_by_their_plain_names(write_exr, tmp_path):
     for number in (1, 2):
         write_exr(f"shot.{number:04d}.exr", {name: np.zeros((8, 8)) for name in "RGB"})
@@ -104,6 +132,27 @@ def test_one_frame_and_a_device_go_by_their_plain_names(write_exr, tmp_path):
         postfx.Pipeline([postfx.ToneMap()], "gpu")
     with pytest.raises(PassOptionError, match="no option 'sacle': did you mean scale[?] its"):
         postfx.DenoiseUpscale(sacle=2)
+
+
+def test_a_misspelt_choice_is_told_with_the_one_that_is_meant(write_exr, tmp_path):
+    shot = write_exr("shot.0001.exr", {name: np.zeros((8, 8)) for name in "RGB"})
+    own = tmp_path / "own.toml"
+    own.write_text('[[plane]]\nrole = "norml"\nchannels = ["XYZ"]\n')
+    frame = postfx.Frame({"color": PICTURE})
+    for meant, call in {
+        "generic": lambda: postfx.read_sequence(shot, profile="genric").read(1),
+        "normal": lambda: postfx.read_sequence(shot, profile=str(own)).read(1),
+        "acescg": lambda: postfx.read_sequence(shot, colourspace="acesgc"),
+        "estimate": lambda: postfx.read_sequence(shot, motion="estimat").read(1),
+        "reversed": lambda: postfx.read_sequence(shot, depth="revresed").read(1),
+        "rec2020": lambda: postfx.Frame({"color": PICTURE}, encoding="rec202").spec,
+        "piz": lambda: postfx.write_frame(tmp_path / "out.exr", frame, compression="pizz"),
+        ".png": lambda: postfx.write_frame(tmp_path / "out.pgn", frame),
+        "static": lambda: postfx.write_frame(tmp_path / "out.png", frame, dither="statik"),
+        "difference": lambda: postfx.DenoiseUpscale(reactive="diference"),
+    }.items():
+        with pytest.raises(postfx.PostfxError, match=f": did you mean {re.escape(meant)}[?] "):
+            call()
 
 
 def test_a_file_in_the_place_of_an_array_is_told_who_reads_it():
@@ -127,11 +176,11 @@ def test_colour_has_either_spelling_everywhere(write_exr, tmp_path, monkeypatch)
     plain = postfx.read_sequence("shot.####.exr").read(1)["color"]
     assert np.array_equal(first, second) and not np.array_equal(first, plain)
     base = np.full((2, 2, 3), 0.5)
-    for make in (postfx.integrate.diffuse_albedo, postfx.integrate.f0_of):
+    for make in (integrate.diffuse_albedo, integrate.f0_of):
         one, other = (make(metallic=np.zeros((2, 2)), **{name: base})
                       for name in ("base_color", "base_colour"))
         assert np.array_equal(one, other)
-    assert postfx.integrate.exposure_hint(color=base) == postfx.integrate.exposure_hint(base)
+    assert integrate.exposure_hint(color=base) == integrate.exposure_hint(base)
     with pytest.raises(TypeError, match="colorspace is given in both spellings"):
         postfx.read_sequence("shot.####.exr", colorspace="acescg", colourspace="acescg")
     for flag in ("--colorspace=acescg", "--colourspace=acescg"):

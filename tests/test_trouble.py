@@ -363,6 +363,7 @@ import sys, threading, time
 import numpy as np
 import postfx
 frame = postfx.Frame({"colour": np.random.default_rng(1).random((60, 80, 3), np.float32)})
+shown = postfx.Frame(frame.planes, encoding="srgb")
 def refuse(self):
     raise RuntimeError("can't create new thread at interpreter shutdown")
 def work():
@@ -370,8 +371,8 @@ def work():
     time.sleep(0.2)
     if sys.argv[1] == "none begin":
         threading.Thread.start = refuse
-    for name in ("a.exr", "b.png", "c.jpg"):
-        postfx.write_frame(name, frame)
+    for name, picture in {"a.exr": frame, "b.png": shown, "c.jpg": shown}.items():
+        postfx.write_frame(name, picture)
     read, = postfx.read_sequence("a.exr")
     pipeline = postfx.Pipeline([postfx.DenoiseUpscale(model="s")], postfx.Device("cpu"))
     postfx.write_frame("d.exr", pipeline(read))

@@ -133,10 +133,11 @@ def _lines(facts: dict[str, Any], exit_code: int) -> list[str | Text]:
 
 
 def _missing_lines(missing: list[dict[str, str]]) -> list[str]:
-    """AOVs that improve any result, a line each, and in one line those that few frames need."""
+    """AOVs that are needed or improve any result, a line each, and in one line those that few
+    frames need."""
     from postfx.doctor.plane_checks import COSTS
 
-    wanted = [item for item in missing if item["role"] in COSTS]
+    wanted = [item for item in missing if item["role"] in ("colour", *COSTS)]
     others = [item["role"] for item in missing if item not in wanted]
     lines = [f"missing  {item['role']}{': ' + item['fix'] if item['fix'] else ''}"
              for item in wanted]

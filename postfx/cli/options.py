@@ -14,7 +14,7 @@ import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, Literal, NamedTuple, NoReturn
 
-from postfx.errors import OptionError, suggest
+from postfx.errors import OptionError, offer, suggest
 
 Changes = Literal["pixels", "rounding", "nothing"]
 MEANT_VERBS = {
@@ -125,7 +125,7 @@ class Option(NamedTuple):
     def parse(self, text: str) -> Any:
         """The value that a text stands for; ValueError with the reason where it stands for none."""
         if self.choices and text not in self.choices:
-            raise ValueError(f"'{text}' is none of {', '.join(self.choices)}")
+            raise ValueError(f"no choice '{text}'{offer(text, self.choices, 'give')}")
         try:
             return (self.type or str)(text)
         except argparse.ArgumentTypeError as error:
@@ -368,7 +368,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print a line, with what a mistyped verb may have meant, and end the process with 2."""
-        choice = re.search(r"argument COMMAND: invalid choice: '([^']*)'", message)
+        choice = re.search(r"argument COMMAND: no choice '([^']*)'", message)
         if choice:
             message = f"there is no command '{choice[1]}'{self._suggest_verb(choice[1])}"
         option = re.fullmatch(r"argument (\S*?/)?(--[\w-]+): expected one argument", message)
@@ -376,6 +376,13 @@ class Parser(argparse.ArgumentParser):
             message += f"; a value that begins with a dash is given as {option[2]}=VALUE"
         help = "--help-all" if any(option.basic for option in self.declared or ()) else "--help"
         self.exit(2, f"error: {message} ('{self.prog} {help}' shows all)\n")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """ArgumentError that names the nearest choice for a value that is none, in the same words
+        under every version of Python."""
+        if action.choices is not None and value not in action.choices:
+            there = offer(str(value), map(str, action.choices), "give")
+            raise argparse.ArgumentError(action, f"no choice '{value}'{there}")
 
     def _suggest_verb(self, word: str) -> str:
         """Which verb somebody may have meant by a word, as the end of a message; '' for none."""

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from postfx.colour import LUMA_REC2020, P3_D65, REC709, REC2020, Chromaticities
-from postfx.errors import ColourError
+from postfx.errors import ColourError, offer
 
 PQ_NITS = 10000.0
 """Light of the PQ code value 1, cd/m2."""
@@ -209,7 +209,7 @@ def parse_display(text: str) -> Display:
     displays."""
     name, *settings = text.split(",")
     if name not in DISPLAY_KINDS:
-        raise ColourError(f"unknown display '{name}': use {', '.join(DISPLAY_KINDS)}, e.g. "
+        raise ColourError(f"unknown display '{name}'{offer(name, DISPLAY_KINDS)}, e.g. "
                           "pq,peak=1000")
     values = dict(_parse_setting(text, item) for item in settings)
     if name not in HDR:

@@ -45,7 +45,9 @@ class Material:
         whole: width and height of the pictures that the frames are windows of, if they are.
         other_layers: what the first frame's files hold beside the planes: 'AO.R,G,B'.
         known_parts: layers among them that are light groups or passes by the profile.
-        profile: name of the first frame's profile.
+        pictures: layers that may be the colour and the ends of their channels' names, R, G, B and
+            perhaps A; empty if a colour is read.
+        profile: what another profile calls the first frame's to extend it.
     """
 
     frames: list[Frame]
@@ -58,6 +60,7 @@ class Material:
     read_motion: ReadMotion | None = None
     other_layers: list[str] = field(default_factory=list)
     known_parts: list[str] = field(default_factory=list)
+    pictures: dict[str, tuple[str, ...]] = field(default_factory=dict)
     profile: str = ""
     whole: tuple[int, int] | None = None
 
@@ -148,10 +151,12 @@ def read_material(sequence: Sequence) -> Reading:
         frames = [_read_unclamped(files, first)]
         layout, guides = files.layout, files.guides
         others, known = files.unread(), files.known_parts()
+        pictures = {layer: _ends(channels)
+                    for layer, channels in files.possible_pictures().items()}
         unread = {layer: [pixels] for layer, pixels in _read_pairs(files).items()}
         names = {layer: _letters(channels) for layer, channels in files.unread_motion().items()}
     material = Material(frames, {}, layout.hints(), other_layers=others, known_parts=known,
-                        profile=layout.profile.name)
+                        pictures=pictures, profile=layout.profile.reference)
     most = max(2, min(MOST_HELD_FRAMES,
                       MOST_HELD_PIXELS // (frames[0].spec.width * frames[0].spec.height)))
     ranges = [_ranges(frames[0])]
@@ -174,10 +179,10 @@ def read_material(sequence: Sequence) -> Reading:
             frames.append(frame)
             for layer, pixels in more.items():
                 unread.setdefault(layer, []).append(pixels)
-    material.unread = [UnreadMotion(layer, names[layer], tuple(planes), layout.profile.name)
+    material.unread = [UnreadMotion(layer, names[layer], tuple(planes), layout.profile.reference)
                        for layer, planes in unread.items() if layer in names]
     if motion := layout.planes.get(Role.MOTION):
-        material.read_motion = ReadMotion(layout.profile.name,
+        material.read_motion = ReadMotion(layout.profile.reference,
                                           motion.channels[0].name.rpartition(".")[0],
                                           _letters(motion.channels), motion.rule)
     material.measured.insert(0, first)
@@ -196,8 +201,12 @@ def _read_pairs(files: FrameFiles) -> dict[str, np.ndarray]:
 
 
 def _letters(channels: Iterable[Channel]) -> tuple[str, str]:
-    x, y = (channel.name.rpartition(".")[2] for channel in channels)
+    x, y = _ends(channels)
     return x, y
+
+
+def _ends(channels: Iterable[Channel]) -> tuple[str, ...]:
+    return tuple(channel.name.rpartition(".")[2] for channel in channels)
 
 
 def _consecutive(sequence: Sequence, most: int) -> list[int]:

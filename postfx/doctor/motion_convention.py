@@ -255,7 +255,7 @@ def round_to(value: float, digits: int = 4) -> float:
 def plane_lines(profile: str, role: Role, layer: str, letters: Sequence[str]) -> list[str]:
     """Lines of TOML of a profile that extends another one by a plane in a layer, whose channels are
     in this order."""
-    return [f'extends = "{profile}"', "[[plane]]", f'role = "{role}"',
+    return [f"extends = {json.dumps(profile)}", "[[plane]]", f'role = "{role}"',
             f"names = [{json.dumps(layer)}]", f"channels = [{json.dumps(list(letters))}]"]
 
 

@@ -18,6 +18,7 @@ from postfx.doctor.material import Material
 from postfx.doctor.motion_convention import plane_lines
 from postfx.exposure import measure
 from postfx.frame import ALBEDOS, Frame, Role
+from postfx.io.channels import COLOUR_FILES
 from postfx.kernels.statistics import OUTSIDE, light_outside
 from postfx.motion import MOTION_SOURCES
 from postfx.sampling import local_mean
@@ -35,6 +36,8 @@ _WORDS = {Role.DIFFUSE_ALBEDO: ("albedo",), Role.NORMAL: ("normal", "normals"),
           Role.DEPTH: ("depth",), Role.ROUGHNESS: ("roughness",),
           Role.MOTION: ("motion", "velocity", "vectors")}
 """Words that a layer's name may be short for, or misspell."""
+_PICTURE_WORDS = (*COLOUR_FILES, "final", "main", "picture", "radiance", "render")
+"""Words in the names of layers that are rather the colour than another layer is."""
 _LETTERS = {Role.DIFFUSE_ALBEDO: ("R,G,B",), Role.SPECULAR_ALBEDO: ("R,G,B",),
             Role.NORMAL: ("X,Y,Z", "R,G,B"), Role.DEPTH: ("Z", "R", "Y", "V"),
             Role.ROUGHNESS: ("R", "Y", "V"), Role.MOTION: ("X,Y",)}
@@ -87,8 +90,7 @@ def check_hit_distance_unused(material: Material) -> Iterator[Finding]:
 def check_missing_planes(material: Material) -> Iterator[Finding]:
     """Colour, which is required, and planes that would improve the result."""
     if Role.COLOUR not in material.first:
-        yield error(Role.COLOUR, "missing-colour", "no colour AOV was found",
-                    "another name or layer", "name it in a profile (--profile FILE.toml)")
+        yield _missing_colour(material)
     for role, cost in COSTS.items():
         if role in material.first or role in material.first.guides:
             continue
@@ -109,6 +111,33 @@ def check_missing_planes(material: Material) -> Iterator[Finding]:
         yield level(role, f"missing-{role.replace('_', '-')}", evidence, cause, fix)
 
 
+def _missing_colour(material: Material) -> Finding:
+    """The finding for frames without a colour; where a layer may be it, with a profile that reads
+    it."""
+    layers = _find_pictures(material)
+    held = "; ".join(f"{layer}.{','.join(material.pictures[layer])}"
+                     for layer in layers[:MOST_LISTED])
+    evidence = "no colour AOV was found" + (f"; in the file, but not read: {held}" if held else "")
+    fix = "render it, or name it in a profile (--profile FILE.toml)"
+    if layers:
+        letters = material.pictures[layers[0]]
+        lines = plane_lines(material.profile, Role.COLOUR, layers[0], letters[:3])
+        if letters[3:]:
+            lines += plane_lines(material.profile, Role.ALPHA, layers[0], letters[3:])[1:]
+        fix = (f"if it is '{layers[0]}', give --layer '{layers[0]}', or write this into a file, "
+               "for --profile FILE.toml:\n" + "\n".join(lines))
+    return error(Role.COLOUR, "missing-colour", evidence, "another name or layer", fix)
+
+
+def _find_pictures(material: Material) -> list[str]:
+    """Layers that may be the colour, those named like a picture first, without parts of it and
+    layers that may be another plane."""
+    taken = {name.rpartition(".")[0] for role in COSTS for name in _find_similar(material, role)}
+    layers = [layer for layer in material.pictures
+              if layer not in material.known_parts and layer not in taken]
+    return sorted(layers, key=lambda layer: not _is_named_like(layer, _PICTURE_WORDS))
+
+
 def _find_similar(material: Material, role: Role) -> list[str]:
     """Unread layers, with their channels, that may be the plane by their names. Motion that is
     measured has a finding of its own."""
@@ -127,8 +156,13 @@ def _is_short_for(role: Role, name: str) -> bool:
     layer, _, letters = name.rpartition(".")
     if letters.upper() not in _LETTERS[role]:
         return False
+    return _is_named_like(layer, _WORDS.get(role, ()))
+
+
+def _is_named_like(layer: str, words: Sequence[str]) -> bool:
+    """Whether a part of a layer's name is like one of some words."""
     return any(_is_like(part, word) for part in re.findall(r"[a-z]+", layer.lower())
-               for word in _WORDS.get(role, ()))
+               for word in words)
 
 
 def _is_like(part: str, word: str) -> bool:

@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from postfx.errors import IntegrationError
+from postfx.errors import IntegrationError, offer
 from postfx.exposure import measure
 from postfx.frame import DEPTH_MISS
 from postfx.spelling import takes_both_spellings
@@ -328,7 +328,7 @@ def motion_in_pixels(
     encoded: stored as 0.5 + 0.5 * value, in 0..1. IntegrationError for another unit.
     """
     if unit not in _MOTION_UNITS:
-        raise IntegrationError(f"motion unit '{unit}': use {', '.join(_MOTION_UNITS)}")
+        raise IntegrationError(f"motion unit '{unit}'{offer(unit, _MOTION_UNITS)}")
     motion = np.asarray(motion, np.float64)
     motion = 2 * motion - 1 if encoded else motion
     height, width = motion.shape[:2]

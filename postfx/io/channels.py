@@ -191,15 +191,28 @@ class ChannelIndex:
         something else; None where there is none or a choice."""
         layers = [layer for layer in self.layers_like("*", whole=True)
                   if not _DATA.search(layer) and not is_plane_word(layer.rpartition(".")[2])]
+        coloured = self._coloured(layers)
+        if coloured:
+            return next(iter(coloured.values())) if len(coloured) == 1 else None
+        only = layers[0] if len(self.layers_like("*", whole=True)) == 1 and layers else None
+        return only if only and self.find([f"{only}.Y"]) else None
+
+    def possible_pictures(self) -> dict[tuple[Channel, ...], str]:
+        """Channels R, G and B of layers whose names tell of nothing but a picture, and the names of
+        these layers."""
+        return self._coloured(layer for layer in self.layers_like("*", whole=True)
+                              if not _DATA.search(layer)
+                              and (not is_plane_word(word := layer.rpartition(".")[2])
+                                   or word.lower() in COLOUR_FILES))
+
+    def _coloured(self, layers: Iterable[str]) -> dict[tuple[Channel, ...], str]:
+        """Channels R, G and B of layers that have them."""
         # a layer also goes by its part's name before its own
         coloured: dict[tuple[Channel, ...], str] = {}
         for layer in layers:
             if channels := self.find(f"{layer}.{letter}" for letter in "RGB"):
                 coloured.setdefault(channels, layer)
-        if coloured:
-            return next(iter(coloured.values())) if len(coloured) == 1 else None
-        only = layers[0] if len(self.layers_like("*", whole=True)) == 1 and layers else None
-        return only if only and self.find([f"{only}.Y"]) else None
+        return coloured
 
     def pictures_beside(self, colour: tuple[Channel, ...],
                         is_named: bool) -> dict[tuple[Channel, ...], str]:

@@ -29,7 +29,7 @@ from postfx.colour import (
     round_to_known,
     to_xyz,
 )
-from postfx.errors import ColourError
+from postfx.errors import ColourError, offer
 from postfx.frame import Frame, Role
 from postfx.streams import make_printable
 
@@ -242,8 +242,8 @@ def parse_colourspace(text: str | None) -> InputColours:
     if text is None or text == NATIVE:
         return InputColours(native=text == NATIVE)
     if text not in LINEAR_SPACES:
-        raise ColourError(f"unknown colour space '{text}': use one of {', '.join(LINEAR_SPACES)}, "
-                          "which are all linear")
+        known = offer(text, LINEAR_SPACES, "use one of")
+        raise ColourError(f"unknown colour space '{text}'{known}, which are all linear")
     return InputColours(LINEAR_SPACES[text])
 
 

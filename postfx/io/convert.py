@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from postfx.depth import depth_from_device, depth_from_normalised, depth_from_ray, normals_to_world
-from postfx.errors import DepthOptionError, ProfileError
+from postfx.errors import DepthOptionError, ProfileError, offer
 from postfx.frame import DEPTH_MISS, Role
 from postfx.io.profile import PlaneRule
 from postfx.motion.camera import (
@@ -329,7 +329,7 @@ def parse_depth(text: str) -> DepthOption:
     """
     kind, *pairs = [word.strip() for word in text.split(",")]
     if kind not in DEPTH_KIND_WORDS:
-        raise DepthOptionError(f"depth '{text}': begin with {', '.join(DEPTH_KIND_WORDS)}")
+        raise DepthOptionError(f"depth '{text}'{offer(kind, DEPTH_KIND_WORDS, 'begin with')}")
     numbers: dict[str, float] = {}
     for pair in pairs:
         name, _, value = pair.partition("=")
@@ -348,7 +348,8 @@ def parse_depth(text: str) -> DepthOption:
                                    "and 180")
     unknown = sorted(set(numbers) - set(_NUMBERS))
     if unknown:
-        raise DepthOptionError(f"depth '{text}': unknown '{unknown[0]}': use {', '.join(_NUMBERS)}")
+        raise DepthOptionError(f"depth '{text}': unknown '{unknown[0]}'"
+                               f"{offer(unknown[0], _NUMBERS)}")
     near, far, fov, miss, scale = map(numbers.get, _NUMBERS)
     return DepthOption(*DEPTH_KIND_WORDS[kind], near, far, fov, miss, scale)
 

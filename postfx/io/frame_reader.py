@@ -408,6 +408,15 @@ class FrameFiles(ExitStack):
         they are read or not."""
         return find_known_parts(self.plan.index, self.layout)
 
+    def possible_pictures(self) -> dict[str, tuple[Channel, ...]]:
+        """Layers that may be the colour by their names, and their channels R, G, B and, if they
+        have one, A; none where a colour is read."""
+        if Role.COLOUR in self.layout.planes:
+            return {}
+        index = self.plan.index
+        return {layer: (*channels, *(index.find([f"{layer}.A"]) or ()))
+                for channels, layer in index.possible_pictures().items()}
+
     def unread_motion(self) -> dict[str, tuple[Channel, ...]]:
         """Layers of the colour's size whose names suggest motion, and their channels; none where
         motion is read."""

@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
-from postfx.errors import MissingPlaneError, OptionError
+from postfx.errors import MissingPlaneError, OptionError, suggest
 from postfx.frame import ADDITIVE, PART_KINDS, Part, PartSource
 from postfx.io.channels import Channel, ChannelIndex, are_together, read_channels
 from postfx.io.image_file import ImageFile
@@ -201,7 +201,8 @@ def _missing_error(name: str, index: ChannelIndex, path: str, option: str = "--a
     layers.sort(key=lambda layer: layer.rpartition(".")[0] not in known)
     more = f"; and {len(layers) - SHOWN_LAYERS} more" if len(layers) > SHOWN_LAYERS else ""
     held = "; ".join(layers[:SHOWN_LAYERS]) + more if layers else "nothing"
-    return MissingPlaneError(f"{path}: no layer '{name}' for {option}: it holds {held}")
+    meant = suggest(name, (layer.rpartition(".")[0] for layer in layers)) or ":"
+    return MissingPlaneError(f"{path}: no layer '{name}' for {option}{meant} it holds {held}")
 
 
 LAYER_SUM_TOLERANCE = 3e-3

@@ -5,7 +5,8 @@ left out):
 
     name = "studio"
     title = "Our farm's names"
-    extends = "generic"                  # its planes and header keys come after ours
+    extends = "generic"                  # its planes and header keys come after ours: a built-in
+                                         # profile, or a file beside ours by its name or path
     source = "manual"                    # where its names are from: file (read by us), code (the
                                          # renderer's source), listing (channels of a file that
                                          # others listed) or manual (documents alone)
@@ -78,7 +79,7 @@ from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from postfx.errors import ProfileError
+from postfx.errors import ProfileError, offer
 from postfx.files import parse_toml, read_text
 from postfx.frame import ADDITIVE, ROLES, Role
 
@@ -140,7 +141,7 @@ def check(table: Mapping[str, Any], kinds: Mapping[str, Kind], path: Path,
     has."""
     for key in sorted(table):
         if key not in kinds:
-            raise ProfileError(f"{path}: {where}: unknown key '{key}': use {', '.join(kinds)}")
+            raise ProfileError(f"{path}: {where}: unknown key '{key}'{offer(key, kinds)}")
         if not kinds[key].fits(table[key]):
             raise ProfileError(f"{path}: {where}: {key} must be {kinds[key].words}")
 
@@ -219,9 +220,14 @@ class DetectRule:
 
 @dataclass(frozen=True)
 class Profile:
-    """One renderer's conventions."""
+    """One renderer's conventions.
+
+    Attributes:
+        file: path of a user's own profile; '' for a built-in one.
+    """
 
     name: str
+    file: str = ""
     title: str = ""
     source: str = ""
     marker: str = ""
@@ -235,6 +241,11 @@ class Profile:
     column_vectors: bool = False
     max_velocity: float | None = None
     shutter: float | None = None
+
+    @property
+    def reference(self) -> str:
+        """What `extends` of any other profile calls it."""
+        return self.file or self.name
 
     def rules(self, role: Role) -> tuple[PlaneRule, ...]:
         """Rules for a role, best first."""
@@ -256,9 +267,7 @@ def load_profile(name: str) -> Profile:
     if not os.path.isfile(path):
         path = Path(name)
         if path.suffix != ".toml":
-            known = ", ".join(profile_names())
-            raise ProfileError(f"unknown profile '{name}': use one of {known}, or the path of a "
-                               "TOML file")
+            raise ProfileError(f"{_unknown(name)}, or the path of a TOML file")
     try:
         return _parse(_read_table(path), path)
     except OSError as error:
@@ -277,7 +286,7 @@ def _read_table(path: Path) -> dict[str, Any]:
 
 def _parse(table: dict[str, Any], path: Path) -> Profile:
     check(table, PROFILE, path)
-    base = load_profile(table["extends"]) if "extends" in table else Profile("")
+    base = _load_base(table["extends"], path) if "extends" in table else Profile("")
     camera = table.get("camera", {})
     check(camera, CAMERA_KEYS, path, "[camera]")
     header = table.get("header", {})
@@ -287,6 +296,7 @@ def _parse(table: dict[str, Any], path: Path) -> Profile:
     _check_choices(table, ("source",), path, "profile")
     return Profile(
         name=table.get("name", path.stem),
+        file="" if path.parent == BUILTIN else os.path.abspath(path),
         title=table.get("title", ""),
         source=source,
         marker=table.get("marker", base.marker),
@@ -304,13 +314,51 @@ def _parse(table: dict[str, Any], path: Path) -> Profile:
     )
 
 
+def _load_base(name: str, path: Path) -> Profile:
+    """The profile that the one in a file extends: a built-in one, or a file by its path or, if it
+    lies beside, by its name. ProfileError where there is none."""
+    if name in profile_names():
+        return load_profile(name)
+    if name.endswith(".toml"):
+        beside = path.parent / name
+        return load_profile(str(beside) if os.path.isfile(beside) else name)
+    found = _find_beside(name, path)
+    if found is None:
+        raise ProfileError(f"{path}: extends: {_unknown(name)}, or a TOML file by its path, or by "
+                           f"its name if it lies in {path.parent}")
+    return load_profile(str(found))
+
+
+def _find_beside(name: str, path: Path) -> Path | None:
+    """The profile in the folder of another one whose file has a name, or that says the name
+    itself."""
+    by_file = path.parent / f"{name}.toml"
+    if os.path.isfile(by_file):
+        return by_file
+    others = (other for other in sorted(path.parent.glob("*.toml")) if other != path)
+    return next((other for other in others if _told_name(other) == name), None)
+
+
+def _told_name(path: Path) -> Any:
+    """The name that a TOML file says, None where it says none or cannot be read."""
+    try:
+        return _read_table(path).get("name")
+    except (OSError, ProfileError, RecursionError):
+        return None
+
+
+def _unknown(name: str) -> str:
+    """What an error says of a name that no built-in profile has."""
+    return f"unknown profile '{name}'{offer(name, profile_names(), 'use one of')}"
+
+
 def _check_choices(table: Mapping[str, Any], keys: Iterable[str], path: Path, where: str) -> None:
     """ProfileError for a word that is none of those that its key knows."""
     for key in keys:
         allowed = _CHOICES[key]
         if table.get(key, allowed[0]) not in allowed:
-            known = ", ".join(filter(None, allowed))
-            raise ProfileError(f"{path}: {where}: {key} = {table[key]!r}: use one of {known}")
+            known = offer(table[key], filter(None, allowed), "use one of")
+            raise ProfileError(f"{path}: {where}: {key} = {table[key]!r}{known}")
 
 
 def _part(table: dict[str, Any], path: Path) -> PartRule:
@@ -319,8 +367,8 @@ def _part(table: dict[str, Any], path: Path) -> PartRule:
     if not table.get("names"):
         raise ProfileError(f"{path}: {where}: give the names of layers")
     if table.get("kind", "light") not in ADDITIVE:
-        raise ProfileError(f"{path}: {where}: kind = {table['kind']!r}: use one of "
-                           f"{', '.join(ADDITIVE)}")
+        known = offer(table["kind"], ADDITIVE, "use one of")
+        raise ProfileError(f"{path}: {where}: kind = {table['kind']!r}{known}")
     return PartRule(**{**table, "names": tuple(table["names"])})
 
 
@@ -334,7 +382,8 @@ def _plane(table: dict[str, Any], path: Path) -> PlaneRule:
     where = f"[[plane]] role = {table.get('role')!r}"
     check(table, PLANE_KEYS, path, where)
     if table.get("role") not in list(Role):
-        raise ProfileError(f"{path}: {where}: unknown role: use one of {', '.join(Role)}")
+        known = offer(table.get("role", ""), Role, "use one of")
+        raise ProfileError(f"{path}: {where}: unknown role{known}")
     _check_choices(table, _CHOICES, path, where)
     role, listed = Role(table["role"]), {"names", "channels", "requires", "without", "scale",
                                          "offset", "clamp"}

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from enum import StrEnum
 from functools import cache
+from typing import Never
 
 import numpy as np
 
+from postfx.errors import WriteError, offer
 from postfx.io.pixel_formats import dither_rows
 
 NOISE_SIDE_PX = 64
@@ -23,6 +25,11 @@ class Dither(StrEnum):
     MOVING = "moving"
     STATIC = "static"
     NONE = "none"
+
+    @classmethod
+    def _missing_(cls, value: object) -> Never:
+        """WriteError for a word that is no pattern."""
+        raise WriteError(f"dither '{value}'{offer(value, cls, 'give')}")
 
 
 def quantise(

@@ -9,7 +9,7 @@ from functools import cached_property
 from os import PathLike
 from typing import Any
 
-from postfx.errors import SequenceError
+from postfx.errors import SequenceError, offer
 from postfx.frame import Role, find_role
 from postfx.io.convert import DepthOption, parse_depth
 from postfx.io.parts import PartOptions, parse_parts
@@ -91,8 +91,7 @@ class ReadOptions:
 
     def __post_init__(self) -> None:
         if self.motion not in MOTIONS:
-            choices = f"{', '.join(MOTIONS[:-1])} or {MOTIONS[-1]}"
-            raise SequenceError(f"motion '{self.motion}': give {choices}")
+            raise SequenceError(f"motion '{self.motion}'{offer(self.motion, MOTIONS, 'give')}")
         for name in _WORDS:
             word = getattr(self, name)
             if word is not None and not isinstance(word, str | PathLike):

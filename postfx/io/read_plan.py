@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from postfx.caching import LRUCache
-from postfx.errors import MissingPlaneError, ReadError
+from postfx.errors import MissingPlaneError, ReadError, offer
 from postfx.frame import ColourSource, Role
 from postfx.io.channels import Channel, ChannelIndex, Parts, are_together
 from postfx.io.colours import COLOUR_ATTRIBUTES
@@ -342,11 +342,11 @@ class Planner:
         view, layer, options = self._settled.view, self._layer, self._options
         index = ChannelIndex(self._files, view, layer or "")
         if view and view not in index.views:
-            known = ", ".join(index.views) or "one view without a name"
-            raise MissingPlaneError(f"{self._path}: no view '{view}': it holds {known}")
+            known = offer(view, index.views or ["one view without a name"], "it holds")
+            raise MissingPlaneError(f"{self._path}: no view '{view}'{known}")
         if layer and not index.has_layer(layer):
-            known = ", ".join(index.layers()) or "none"
-            raise MissingPlaneError(f"{self._path}: no layer '{layer}': it holds {known}")
+            known = offer(layer, index.layers() or ["none"], "it holds")
+            raise MissingPlaneError(f"{self._path}: no layer '{layer}'{known}")
         chosen = load_profile(options.profile) if options.profile else None
         given = self._paths, self._attributes, chosen, options.stored_depth, options.absent
         layout = make_layout(index, *given, layer)

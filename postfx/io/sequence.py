@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Concatenate, ParamSpec
 
 import numpy as np
 
-from postfx.errors import ColourError, MissingFrameError, PostfxError, SequenceError, suggest
+from postfx.errors import ColourError, MissingFrameError, PostfxError, SequenceError, offer, suggest
 from postfx.frame import LOG, Frame, Role, find_role
 from postfx.io.colours import ColourSpace, InputColours, parse_colourspace
 from postfx.io.frame_reader import READ_ALL, FrameFiles
@@ -496,8 +496,8 @@ class Sequence:
         asked = tuple(filter(None, (self.view, *self.views))) or tuple(self._found)
         if absent := [view for view in asked if view not in self._found]:
             raise SequenceError(
-                f"{self.pattern}: no view '{absent[0]}': there are files of "
-                f"{', '.join(self._found)}"
+                f"{self.pattern}: no view '{absent[0]}'"
+                f"{offer(absent[0], self._found, 'there are files of')}"
             )
         self.view, self.views, self._all_views = asked[0], asked[1:], False
 

@@ -7,6 +7,7 @@ import errno
 import os
 import re
 import tempfile
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -20,7 +21,7 @@ import OpenImageIO as oiio
 
 from postfx.caching import LRUCache
 from postfx.colour.displays import SRGB, Display, parse_display
-from postfx.errors import FrameError, OutputExistsError, WriteError
+from postfx.errors import FrameError, OutputExistsError, WriteError, offer
 from postfx.files import is_utf8, output_file, with_slashes
 from postfx.frame import LINEAR, TOLD, Frame, Role
 from postfx.io.encoder import cut_pieces, display_of, encode_all, encode_pixel, tag_codes
@@ -72,6 +73,10 @@ _HOLDS_CODES: LRUCache[tuple[object, ...], bool] = LRUCache(MOST_KINDS_OF_OUTPUT
 """Whether files hold pictures for a display, by suffix, bits, compression and encoding: those that
 can be written."""
 
+NO_LOOK = ("write_frame: a scene-linear frame becomes a picture without exposure and look, clipped "
+           "to 0..1 and encoded as sRGB: run it through postfx.Pipeline([postfx.ToneMap()]) first, "
+           "as 'postfx run' does, or write .exr; encoding='display-linear' says that 1 is white")
+"""Names no file, so that Python shows it once for all frames of a loop."""
 SRGB_DISPLAY = parse_display("srgb")
 LEAST_FACTOR = np.float32(1 / 256)
 """Black in 8 bits: what light that reached a place without colour is divided by."""
@@ -89,7 +94,7 @@ def is_display_format(path: str | PathLike[str]) -> bool:
         raise WriteError(f"{path}: postfx writes frames: write '{stem}.####.png', then run ffmpeg "
                          f"-framerate 24 -i {stem}.%04d.png -pix_fmt yuv420p {stem}{suffix}")
     if suffix not in WRITABLE:
-        raise WriteError(f"{path}: unknown format '{suffix}': use {', '.join(WRITABLE)}")
+        raise WriteError(f"{path}: unknown format '{suffix}'{offer(suffix, WRITABLE)}")
     return suffix in DISPLAY_FORMATS
 
 
@@ -116,8 +121,8 @@ def check_compression(path: Path, compression: str) -> None:
     name, _, level = compression.partition(":")
     if (name not in COMPRESSIONS.values()
         or (level and (name not in _LEVELLED or not level.isdigit()))):
-        raise WriteError(f"--compression {compression}: use one of "
-                         f"{', '.join(COMPRESSIONS.values())}, or with a level dwaa:45 or dwab:45")
+        known = offer(name, COMPRESSIONS.values(), "use one of")
+        raise WriteError(f"--compression {compression}{known}, or with a level dwaa:45 or dwab:45")
     if not can_compress(name):
         raise WriteError(f"--compression {name}: OpenImageIO {oiio.__version__}, which is "
                          "installed here, does not write it: install 3.2 or newer, or give zip")
@@ -147,7 +152,7 @@ def write_frame(
 
     Other files hold code values within the display window; 8 bits are dithered. They are tagged
     with the display that they are for, see `postfx.io.encoder`. Linear frames are clipped to 0..1
-    there and encoded as sRGB, so tone-map them first.
+    there and encoded as sRGB, so tone-map them first: a RuntimeWarning tells of scene-linear ones.
 
     The file appears under its name only when it is complete; folders are made.
 
@@ -189,6 +194,8 @@ def write_frame(
         raise WriteError(f"{path}: {path.suffix[1:].upper()} holds one view: write EXR, or choose "
                          "one with --view NAME")
     if shown:
+        if frame.encoding == "scene-linear":
+            warnings.warn(NO_LOOK, RuntimeWarning, stacklevel=3)  # past the decorator
         _write_codes(path, frame, Dither(dither), bits, relax)
         return path
     exact = any(source.exact for name, source in frame.part_sources.items() if name in frame.parts)

@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from postfx.errors import StrengthError
+from postfx.errors import StrengthError, find_nearest
 
 AUTO = "auto"
 """The name that stands for sky and misses."""
@@ -238,12 +238,7 @@ class Cryptomatte:
 
     def nearest(self, entry: Entry) -> list[str]:
         """Names of the manifest that are most like an entry's, best first."""
-        from difflib import get_close_matches  # for messages only
-
-        names = list(self.manifest or ())
-        folded = {name.lower(): name for name in names}
-        return [folded[name] for name in get_close_matches(entry.name.lower(), folded,
-                                                           MOST_SUGGESTED_NAMES, 0.4)]
+        return find_nearest(entry.name, self.manifest or (), MOST_SUGGESTED_NAMES, 0.4)
 
     def _check(self, name: str, found: int) -> int:
         """The id that the manifest gives a name, if it is the name's hash."""

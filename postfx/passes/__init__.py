@@ -14,7 +14,7 @@ from inspect import Parameter, signature
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from postfx.errors import FrameError, NotCompiledError, PassOptionError, suggest
+from postfx.errors import FrameError, NotCompiledError, PassOptionError, offer
 from postfx.frame import ROLES, FrameSpec, GuideSpec, Role, find_role
 from postfx.planes import is_blank
 from postfx.runtime.memory import follow_torch
@@ -272,10 +272,8 @@ class Pass:
             options[self.renamed[old]] = options.pop(old)
         unknown = sorted(set(options) - set(self.defaults))
         if unknown:
-            valid = ", ".join(self.defaults) or "none"
-            meant = suggest(unknown[0], self.defaults)
-            raise PassOptionError(f"pass '{self.name}' has no option '{unknown[0]}'"
-                                  f"{meant or ':'} its options are {valid}")
+            there = offer(unknown[0], self.defaults or ["none"], "its options are")
+            raise PassOptionError(f"pass '{self.name}' has no option '{unknown[0]}'{there}")
         self.options: Mapping[str, Any] = MappingProxyType({**self.defaults, **options})
         self._spec: FrameSpec | None = None
 

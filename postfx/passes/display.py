@@ -11,7 +11,7 @@ from postfx.colour import REC709, Chromaticities, matrix_between, to_xyz
 from postfx.colour.displays import Display as Target
 from postfx.colour.displays import parse_display
 from postfx.colour.views import AXIS_SCALE, AXIS_TOE, VIEWS, bake, find_view, is_view
-from postfx.errors import ColourError, PassOptionError, suggest
+from postfx.errors import ColourError, PassOptionError, offer
 from postfx.frame import LINEAR, FrameSpec, Role
 from postfx.kernels import BRIGHTEST
 from postfx.kernels.colour import (
@@ -275,6 +275,6 @@ def _find_look(tag: str) -> str:
     tags = looks_by_name()
     if tag not in tags and not tag.endswith(".onnx"):
         looks = [*tags, *VIEWS]
-        raise ColourError(f"no look '{tag}'{suggest(tag, looks) or ':'} there are "
-                          f"{', '.join(looks)}, ocio:VIEW, FILE.cube,input=SPACE and FILE.onnx")
+        raise ColourError(f"no look '{tag}'{offer(tag, looks, 'there are')}, ocio:VIEW, "
+                          "FILE.cube,input=SPACE and FILE.onnx")
     return tag

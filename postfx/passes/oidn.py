@@ -9,7 +9,7 @@ import numpy as np
 
 from postfx import oidn
 from postfx.compiled.calls import whole
-from postfx.errors import PassOptionError
+from postfx.errors import PassOptionError, offer
 from postfx.frame import ALBEDOS, FrameSpec, Role
 from postfx.oidn import QUALITIES, OpenImageDenoise, total_albedo
 from postfx.passes import Pass, Reflection, ResidentFrame
@@ -47,8 +47,8 @@ class Oidn(Pass):
         super().__init__(quality=quality, alpha=alpha, pixel_filter=pixel_filter, **unknown)
         self._given_stddev = parse_stddev(pixel_filter)
         if quality not in QUALITIES:
-            raise PassOptionError(f"pass 'oidn' has no quality '{quality}': give "
-                                  f"{', '.join(QUALITIES)}")
+            raise PassOptionError(f"pass 'oidn' has no quality '{quality}'"
+                                  f"{offer(quality, QUALITIES, 'give')}")
         oidn.require()
         self._quality, self._alpha = quality, bool(alpha)
 

@@ -14,7 +14,7 @@ from importlib.metadata import EntryPoint, entry_points
 from inspect import Parameter
 from typing import Any, NamedTuple
 
-from postfx.errors import OptionError, PassOptionError, PostfxError, RegistryError, suggest
+from postfx.errors import OptionError, PassOptionError, PostfxError, RegistryError, offer
 from postfx.files import parse_json
 from postfx.passes import Pass
 from postfx.version import __version__
@@ -55,8 +55,7 @@ def load(name: str) -> type[Pass]:
     points = ([EntryPoint(name, BUILT_IN[name], ENTRY_POINT_GROUP)] if name in BUILT_IN
               else _installed().get(name, ()))
     if not points:
-        raise RegistryError(f"no pass '{name}'{suggest(name, names()) or ':'} there are "
-                            f"{', '.join(names())}")
+        raise RegistryError(f"no pass '{name}'{offer(name, names(), 'there are')}")
     if len(points) > 1:
         raise RegistryError(f"pass '{name}' comes with "
                             f"{' and with '.join(map(package_of, points))}: uninstall all but one "
@@ -230,9 +229,8 @@ def _find(chain: Sequence[Pass], name: str | None) -> int | None:
 def _no_neighbour(request: PassRequest, chain: Sequence[Pass]) -> OptionError:
     """The error for a pass that is to stand beside one that is not in the chain."""
     names = [instance.name for instance in chain]
-    hint = suggest(str(request.neighbour), names) or ":"
-    return OptionError(f"--pass {request.name}: no pass '{request.neighbour}' runs here{hint} "
-                       f"there are {', '.join(names) or 'none'}")
+    there = offer(str(request.neighbour), names or ["none"], "there are")
+    return OptionError(f"--pass {request.name}: no pass '{request.neighbour}' runs here{there}")
 
 
 @cache

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple, Never
 
 import numpy as np
 
-from postfx.errors import PassOptionError, suggest
+from postfx.errors import PassOptionError, offer
 from postfx.frame import FrameSpec, Role
 from postfx.kernels import Kernel
 from postfx.kernels.colour import APPLY_CUBE, form_of
@@ -58,8 +58,7 @@ def _check_look(look: str) -> None:
             raise PassOptionError(f"look '{look}': no such file: check the path and its rights")
         check_card_beside(Path(look))
     elif look not in looks:
-        raise PassOptionError(f"no look '{look}'{suggest(look, looks) or ':'} give "
-                              f"{', '.join(looks)}, or a file of a model")
+        raise PassOptionError(f"no look '{look}'{offer(look, looks, 'give')}, or a file of a model")
 
 
 def shaper(library: Library, model: str) -> Shaper:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Protocol, Self
 
 import numpy as np
 
-from postfx.errors import CaptureError, CommandError, ModelError
+from postfx.errors import CaptureError, CommandError, ModelError, offer
 from postfx.files import is_process_alive
 from postfx.runtime.encoders import Barrier, ConsumerBarrier, Dispatch, EncoderBarrier, Record
 from postfx.runtime.heap import Heap
@@ -169,8 +169,8 @@ class Capture:
     def __init__(self, device: CapturableDevice, tensors: str, folder: str | Path | None,
                  network: bool) -> None:
         if tensors not in KEPT_TENSORS:
-            raise CaptureError(f"a capture cannot keep '{tensors}' of tensors: use one of "
-                               f"{', '.join(KEPT_TENSORS)}")
+            raise CaptureError(f"a capture cannot keep '{tensors}' of tensors"
+                               f"{offer(tensors, KEPT_TENSORS, 'use one of')}")
         if (tensors == "all") != (folder is not None):
             raise CaptureError("a capture with tensors='all' needs a folder=, any other has none")
         if network and tensors == "none":

@@ -74,8 +74,8 @@ def test_selection_by_name_family_and_tag():
 @pytest.mark.parametrize(
     ("methods", "models", "message"),
     [("oidn-best", None,
-      "--methods oidn-best: there is no 'oidn-best' here: choose among accumulation, bicubic"),
-     (None, "xl", "--models xl: there is no 'xl' here: choose among l, m, s"),
+      "--methods oidn-best: there is no 'oidn-best' here: did you mean oidn-fast. use accumul"),
+     (None, "xl", "--models xl: there is no 'xl' here: did you mean l. use l, m, s"),
      ("m", "s", "leaves nothing to measure")],
 )
 def test_names_that_fit_nothing(methods, models, message):

@@ -125,7 +125,11 @@ def test_options_name_what_there_is(option):
     (["run", "in/", "--frames", "-10-20"],
      "expected one argument; a value that begins with a dash is given as --frames=VALUE"),
     (["run", "in/", "--on-error", "skp"],
-     "invalid choice: 'skp' (choose from 'stop', 'skip', 'copy')"),
+     "--on-error: no choice 'skp': did you mean skip? give stop, skip, copy"),
+    (["run", "in/", "--preset", "finall"],
+     "--preset: no choice 'finall': did you mean final? give preview, final, animation"),
+    (["run", "in/", "--preset", "qqq"], "no choice 'qqq': give preview, final, animation"),
+    (["lut", "in.exr", "--size", "34"], "--size: no choice '34': give 17, 33, 65"),
 ])
 def test_mistyped_options_and_verbs(words, told, capsys):
     with pytest.raises(SystemExit) as ended:

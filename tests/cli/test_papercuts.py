@@ -37,7 +37,7 @@ def here(shot, tmp_path, monkeypatch) -> Path:
     (("--live", "viewer"), "--live 'viewer': give tev, tev:HOST or tev:HOST:PORT"),
     (("--report", "in/shot.0001.exr/report.html"), "cannot be written"),
     (("--strength", "2"), "strength 2: give a number from 0 to 1"),
-    (("--compression", "zip9"), "--compression zip9: use one of none, rle"),
+    (("--compression", "zip9"), "--compression zip9: did you mean zip? use one of none, rle"),
     (("--bits", "8"), "cannot have 8 bits: EXR has 16 or 32"),
 ])
 def test_a_wrong_value_is_told_before_files_that_are_there(here, capsys, words, said):

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import postfx
 from postfx.errors import ProfileError
 from postfx.io.profile import load_profile
 
@@ -61,6 +63,31 @@ def test_a_byte_order_mark_is_no_part_of_a_profile(tmp_path: Path) -> None:
     path = tmp_path / "studio.toml"
     path.write_bytes(b"\xef\xbb\xbfextends = 'generic'\r\ntitle = 'Studio'\r\n")
     assert load_profile(str(path)).title == "Studio"
+
+
+READS_NOISY = ('name = "our farm"\n[[plane]]\nrole = "colour"\nnames = ["noisy"]\n'
+               'channels = ["RGB"]\n')
+
+
+@pytest.mark.parametrize("name", ["studio", "our farm", "studio.toml"])
+def test_a_profile_extends_one_beside_it_by_its_name(tmp_path: Path, write_exr, name: str) -> None:
+    (tmp_path / "studio.toml").write_text(READS_NOISY)
+    (tmp_path / "broken.toml").write_text("[")
+    (tmp_path / "show.toml").write_text(f'extends = "{name}"\n[camera]\nnear = 0.5\n')
+    frame = write_exr("a.0001.exr", {f"noisy.{letter}": np.full((8, 8), 0.5) for letter in "RGB"})
+    shot = postfx.read_sequence(frame, profile=str(tmp_path / "show.toml"))
+    assert (shot.read(1)["colour"] == 0.5).all()
+    assert load_profile(str(tmp_path / "show.toml")).near == 0.5
+
+
+def test_a_base_that_is_nowhere_is_told_with_the_file_that_asks_for_it(tmp_path: Path) -> None:
+    path = tmp_path / "show.toml"
+    path.write_text('name = "studio"\nextends = "studio"')
+    with pytest.raises(ProfileError) as caught:
+        load_profile(str(path))
+    told = str(caught.value)
+    assert told.startswith(f"{path}: extends: unknown profile 'studio'") and "\n" not in told
+    assert told.endswith(f"or by its name if it lies in {tmp_path}")
 
 
 def test_a_profile_that_extends_itself(tmp_path: Path) -> None:

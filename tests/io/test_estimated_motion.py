@@ -158,7 +158,7 @@ def test_a_sequence_estimates_motion_whatever_was_read_before(walk: str) -> None
         np.testing.assert_array_equal(own[Role.MOTION], frames[2][Role.MOTION])
     assert not read_sequence(walk, motion="auto", cuts=[3]).read(3)[Role.MOTION].any()
     assert Role.MOTION not in Sequence(walk).read(3)
-    with pytest.raises(SequenceError, match="motion 'guess': give auto, file or estimate"):
+    with pytest.raises(SequenceError, match="motion 'guess': give auto, file, estimate"):
         read_sequence(walk, motion="guess")
 
 

@@ -213,7 +213,7 @@ def test_the_option_is_parsed() -> None:
 
 
 @pytest.mark.parametrize(("text", "said"), [
-    ("automatic", "reactive 'automatic': begin with auto, plane, difference, none"),
+    ("automatic", "reactive 'automatic': did you mean auto. begin with auto, plane, difference"),
     ("auto,cut=1", "unknown 'cut': use scale= or threshold="),
     ("auto,scale=much", "'scale=much' needs a number from 0 on"),
     ("auto,threshold=-1", "'threshold=-1' needs a number from 0 on"),

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from postfx.errors import FrameError, GuideError, PassOptionError
+from postfx.errors import FrameError, GuideError, PassOptionError, offer
 from postfx.frame import FrameSpec, GuideSpec, Role
 from postfx.passes.denoise.geometry import Size
 from postfx.passes.denoise.ladder import Ladder
@@ -219,7 +219,7 @@ def parse_reactive(text: str) -> ReactiveOption:
     """
     kind, *pairs = [word.strip() for word in text.split(",")]
     if kind not in SOURCES:
-        raise PassOptionError(f"reactive '{text}': begin with {', '.join(SOURCES)}")
+        raise PassOptionError(f"reactive '{text}'{offer(kind, SOURCES, 'begin with')}")
     numbers = {}
     for pair in pairs:
         name, _, value = pair.partition("=")

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postfx.errors import BenchError
+from postfx.errors import BenchError, offer
 from postfx.frame import Frame, Role
 from postfx.io.sequence import Sequence
 from postfx.passes.composite import BothWays
@@ -196,8 +196,8 @@ def _words(text: str, known: set[str], option: str) -> set[str]:
     words = {word.strip() for word in text.split(",") if word.strip()}
     unknown = sorted(words - known)
     if unknown:
-        raise BenchError(f"{option} {text}: there is no '{unknown[0]}' here: choose among "
-                         f"{', '.join(sorted(known))}")
+        raise BenchError(f"{option} {text}: there is no '{unknown[0]}' here"
+                         f"{offer(unknown[0], sorted(known))}")
     return words
 
 
