@@ -16,8 +16,9 @@ half stays for its planes, which are almost without noise, and is not trained on
 A renderer that fails on the GPU may still save pictures, black or half done. A clip whose renders
 have not the light of its reference is left out.
 
-With --keep-noise, references stay as rendered, with both halves, for a training whose loss their
-noise does not change (train --noisy-references).
+With --keep-noise, references stay as rendered, with both halves, which together tell what their
+noise does to a picture (train --noisy-references). Such a training leaves out the render from the
+first half, as its target would have one half only.
 
 Clips without halves have references of many samples, and are moved as they are, like clips whose
 references are larger than their renders. RAW may still be growing: with --watch the program goes on

@@ -54,7 +54,8 @@ def test_both_halves_stay_as_rendered_where_noise_is_kept(folders: tuple[Path, P
     after = load_clip(kept / "clip.00000.npz")
     assert all(np.array_equal(before[name], after[name]) for name in ("reference", "half"))
     clip = load(kept / "clip.00000.npz", torch.device("cpu"))
-    assert clip.halved[compared(clip)[-1]]  # the render from half of them is trained on, too
+    assert clip.halved[compared(clip)[-1]]  # compared with the other half
+    # not where a target needs both halves
     assert not any(clip.halved[v] for v in compared(clip, both_halves=True))
     assert not has_quiet_target(clip, clip.halved.index(True))
 

@@ -68,8 +68,7 @@ def moving_clip(scale: int, frames: int = 2) -> Stack:
     guides = torch.rand(1, frames, 11, scale * H, scale * W)
     return Stack(planes[None], jitter[None], torch.tensor([False]), torch.ones(1, frames),
                  *[torch.stack(reference)[None]] * 2, planes[None].clone(), guides,
-                 torch.ones(1, 1, 1, 1),
-                 torch.ones(1, dtype=torch.bool))
+                 torch.ones(1, 1, 1, 1), torch.ones(1, dtype=torch.bool))
 
 
 @pytest.mark.parametrize("seed", range(8))
